@@ -58,7 +58,7 @@ class Conditional:
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
     """Return the law of q of ``mass`` given the displacements of the masses ``given`` (0-based)."""
-    flexibility = np.append(1.0 / system.stiffness, np.inf)
+    flexibility = np.append(1.0 / system.stiffness, np.inf)  # no spring beyond the last mass
     below = max((k for k in given if k < mass), default=-1)
     above = min((k for k in given if k > mass), default=system.n)
     left = 1.0 / float(flexibility[below + 1 : mass + 1].sum())

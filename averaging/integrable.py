@@ -85,16 +85,7 @@ class Integrable(Theory):
             neglected = "".join(left_out.values())
             return Result(self, densities, settings=settings | left_out, neglected=neglected)
 
-        def refusal(observable: Observable) -> str | None:
-            name, kinds = observable_name(observable), [c.kind for c in observable]
-            total = any(c.kind == "H" and c.index is None for c in observable)
-            if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
-                return f"{name}: of two quantities, both must be modal energies, or q and p"
-            if modes.constant and self.solver != "closed-form" and (total or kinds[0] != "H"):
-                return f"{name}: by {self.solver}, only modal energies H1, H2, … ; use closed-form"
-            return None
-
-        return Plan(refusal, solve)
+        return Plan(lambda observable: self._refusal(observable, modes), solve)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:

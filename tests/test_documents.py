@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
-from averaging.phase_space import dynamics, refinement
 from averaging.phase_space import method as phase_space
+from averaging.phase_space import refinement, resolvent
 from averaging.phase_space.passage import first_passage
 from averaging.time import MODAL_TOL
 from cases.api import PresentedAnswers
@@ -179,7 +179,7 @@ CONSTANTS = {
         f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
         f"less than {refinement.LIGHT_RATIO} of the one before",
         f"{refinement.LEAST_RATIO} of the largest",
-        f"from {dynamics.BLOCK} random vectors",
+        f"from {resolvent.BLOCK} random vectors",
         f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
         f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
         f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest"

@@ -201,7 +201,7 @@ class PhaseSpace(Theory):
         apart: dynamics.Apart = dynamics.largest,
         numbers: type = complex,
     ) -> Curve:
-        """Return the curve ``name`` of ``questions``, judged against a relative tolerance.
+        """Return the curve ``name`` of ``dynamics``, judged against a relative tolerance.
 
         The tolerance is given in the question, or ``default``; ``apart`` measures the difference of
         two answers, ``numbers`` is the type of the numbers of the elimination.

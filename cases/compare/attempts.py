@@ -119,10 +119,11 @@ class Attempts:
 
         An error of a type in ``failures`` counts as failed.
         """
-        try:
-            if not self.interrupted:
-                return work()
+        if self.interrupted:
             self.refuse(route, observables, INTERRUPTED)
+            return None
+        try:
+            return work()
         except KeyboardInterrupt:
             if not self.partial:
                 raise

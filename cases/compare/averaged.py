@@ -100,10 +100,19 @@ class AveragedSimulation(Method):
         require_times(asked.times)
         system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
         form = self._form(self._process(system))
+        scales = form.scales / form.noise
         paths = self.paths if wanted is None else max(self.paths, ceil((PER_PATH / wanted) ** 2))
-        method, starts = replace(self, paths=min(paths, MOST_PATHS), tol=wanted), asked.start
-        passed = form, self.limits(form, asked.limit), self._starts(system, starts)
-        return energy_passage(*passed, asked, method)
+        return energy_passage(
+            form,
+            self.limits(form, asked.limit),
+            self._starts(system, asked.start),
+            asked,
+            dt=self.step * float(scales.min()),
+            memory=2.0 * float(scales.max()),
+            paths=min(paths, MOST_PATHS),
+            **self._sampling(),
+            tol=wanted,
+        )
 
     @answer
     def transient(self, asked: Asked) -> Transient:
@@ -119,9 +128,16 @@ class AveragedSimulation(Method):
         require_times(asked.times)
         if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
-        form, tol = self._form(self._process(system)), self.tol if asked.tol is None else asked.tol
-        starts = self._starts(system, asked.start)
-        return energy_transient(form, starts, asked, replace(self, tol=tol))
+        form = self._form(self._process(system))
+        return energy_transient(
+            form,
+            self._starts(system, asked.start),
+            asked,
+            dt=self.step * float((form.scales / form.noise).min()),
+            paths=self.paths,
+            **self._sampling(),
+            tol=self.tol if asked.tol is None else asked.tol,
+        )
 
     def _process(self, system: System) -> Process:
         """The averaged process; raises ``NotApplicable`` if the theory does not apply."""
@@ -201,6 +217,11 @@ class AveragedSimulation(Method):
         slowest, longest = float(times.max()), STATIONARY * self.step * float(times.min())
         return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
 
+    def _sampling(self) -> dict[str, Any]:
+        """Arguments of every simulation."""
+        threads = self.threads or usable_cores()
+        return {"seed": self.seed, "threads": threads, "seconds": self.seconds}
+
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None if they do."""
         name = observable_name(observable)
@@ -229,9 +250,7 @@ class AveragedSimulation(Method):
             time=SAMPLED * slowest,
             burn_in=BURN_IN * slowest,
             paths=self.paths,
-            seed=self.seed,
-            threads=self.threads or usable_cores(),
-            seconds=self.seconds,
+            **self._sampling(),
             tol=inf if self.tol is None else self.tol,
             failures=() if form.damping is None or self.step <= STEP else (too_long,),
             progress=progress,

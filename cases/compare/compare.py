@@ -92,12 +92,11 @@ def compare_densities(
     comparisons = []
     answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
     for (of_a, a, first), (of_b, b, second) in combinations(answers, 2):
-        both_sampled = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
-        if a.observable != b.observable or (
-            # bin by bin; a function between them is compared with both
-            both_sampled and not all(map(np.array_equal, a.panels, b.panels))
-        ):
+        if a.observable != b.observable:
             continue
+        both_sampled = isinstance(a, SampledDensity) and isinstance(b, SampledDensity)
+        if both_sampled and not all(map(np.array_equal, a.panels, b.panels)):
+            continue  # bin by bin; a function between them is compared with both
         routes = (of_a.method.route, of_b.method.route)
         exact = averaging_is_exact and not (of_a.neglected or of_b.neglected)
         kind = what_is_measured(*routes, averaging_is_exact=exact)
@@ -105,8 +104,9 @@ def compare_densities(
         allowed = None if kind == "averaging" else band
         pairs = zip(routes, (a, b), strict=True)
         uncertified = tuple(route for route, d in pairs if not d.certificate.certified)
-        own = a.name, *routes, kind, distance, allowed, expected, uncertified
-        comparisons.append(Comparison(*own))
+        comparisons.append(
+            Comparison(a.name, *routes, kind, distance, allowed, expected, uncertified)
+        )
     return tuple(sorted(comparisons, key=lambda c: c.observable))
 
 

@@ -135,8 +135,8 @@ def _note(system: System, theories: list[str], in_time: bool) -> str:
         doubt = in_time and damping_ratio > ACCEPTABLE_L1
         if "nonintegrable" in theories:
             doubt |= max(1.0 - low, high - 1.0) > ACCEPTABLE_L1
-            gives = f"nonintegrable gives {low:.3g} to {high:.3g} times the exact rms of each q"
-            words.append(f"without contacts {gives} and v")
+            gives = f"nonintegrable gives {low:.3g} to {high:.3g} times the exact rms"
+            words.append(f"without contacts {gives} of each q and v")
         words.append(f"modal temperatures differ by a factor of {spread:.2g}")
         words.append(f"damping ratios are up to {damping_ratio:.2g}")
     near = [s.ratio for s in system.fact(stop_clearances) if s.beyond_rule is False and s.ratio]

@@ -85,12 +85,14 @@ class Definition:
 
     def words(self, system: System) -> str:
         """Return the name in tables of a run, such as ``contact probability, left stop``."""
+        for words, p in QUANTILES.items():
+            if (self.kind, self.at) == ("quantile", p):
+                return words
         words = self.kind.replace("_", " ")
         if self.kind == "exceedance" and self.at is not None:
             return f"probability above {number_text(self.at)}"
         if self.contact is None:
-            of_quantiles = {p: name for name, p in QUANTILES.items() if self.kind == "quantile"}
-            return of_quantiles.get(self.at or 0.0, words)
+            return words
         (stop,) = self.stops(system)
         alone = [(s.mass, s.side) for s in system.stops].count((stop.mass, stop.side)) == 1
         where = "" if alone else f" at {stop.sign * stop.clearance:g}"

@@ -68,11 +68,12 @@ def expect_of(
         remedy = f"is not observed here; use {', '.join(by_name)}"
         raise InvalidInput("expect.of", given, remedy)
     claims = {**table, "of": by_name[name]}
-    shapes = table.keys() & {"non_gaussian", "almost_gaussian"}
-    for key in shapes:
+    for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
         claims[key] = range_of(f"expect.{key}", table[key])
         if len(by_name[name]) > 1:
             raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
-    for key in shapes | (table.keys() & {"nonintegrable_better_with"}) if curves < 2 else ():
-        raise InvalidInput(f"expect.{key}", table[key], "is about the curves of [vary]; add it")
+    for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
+        if curves < 2:
+            remedy = "is about the curves of [vary]; add it"
+            raise InvalidInput(f"expect.{key}", table[key], remedy)
     return Expect(**claims)

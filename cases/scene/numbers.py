@@ -187,9 +187,11 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
         raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")
     place, systems = place_of(key, system), [system]
     for i, value in enumerate(values, start=1):
-        with about_key(f"vary.{key}[{i}]", value):  # a matrix is no factor of the system's own
-            whole = {place.field: value}
-            other = replace(system, **whole) if place.factor else with_numbers(system, {key: value})
+        with about_key(f"vary.{key}[{i}]", value):
+            if place.factor:  # [vary] gives the whole matrix, not a factor of the system's matrix
+                other = replace(system, **{place.field: value})
+            else:
+                other = with_numbers(system, {key: value})
         if not any(np.array_equal(place.read(other), place.read(s)) for s in systems):
             systems.append(other)
     ratios = [_common_ratio(s) for s in systems]

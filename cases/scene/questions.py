@@ -67,6 +67,9 @@ class PassageQuestion:
 
 Question = TransientQuestion | PassageQuestion
 
+CLAIMS = ("rate_error", "failure_error")
+"""Keys of [[passage]] that claim an averaging error, as ``{ at_most = 0.1 }``."""
+
 
 def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:
     """Return the questions of [[passage]]; raise ``InvalidInput`` naming table, key and value."""
@@ -79,12 +82,11 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
             require_below(system, limit, start)
             times = _times(table)
         claims: dict[str, Any] = {
-            key: table[key] if key == "theory" else range_of(f"{place}.{key}", table[key])
-            for key in ("rate_error", "failure_error", "theory")
-            if key in table
+            key: range_of(f"{place}.{key}", table[key]) for key in CLAIMS if key in table
         }
         if "failure_error" in claims and not times:
             raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
+        claims |= {key: table[key] for key in ("theory",) if key in table}
         questions.append(PassageQuestion(limit, start, times, **claims))
     return tuple(questions)
 

@@ -92,7 +92,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """What varies: one level of a family of discretisations, with ``refined`` for the next level.
+    """One level of a family of discretisations; ``refined`` returns the next, finer level.
 
     ``name`` is the family's: in the family "h" elements of ``degree`` are halved, in "p" the degree
     grows, in "tol" the tolerance falls. ``size`` is the h of ``observed_orders``: the ratio of the

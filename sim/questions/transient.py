@@ -49,7 +49,10 @@ def sample_transient(method: Settings, asked: Asked) -> Transient:
         q, p = origin(paths, number)
         settings: Any = {"seed": seed_of(method.seed, number), "workers": workers}
         begun = partial(ensemble_from, system, q, p, modulation=modulation, **settings)
-        seen = lambda ensemble: columns(states_of(ensemble))  # noqa: E731
+
+        def seen(ensemble: Any) -> Sequence[Array]:
+            return columns(states_of(ensemble))
+
         return motions(begun, columns(np.hstack([q, p])), seen, times, longest, many, begin)
 
     with working(method, system, tol, start) as (workers, watch, origin):

@@ -180,19 +180,15 @@ def kernel_for(key: KernelKey) -> Any:
         + step number) % stride == 0``; with ``stride`` 0 never. An observation adds to ``sums``
         (blocks, moments·W) and, for the first ``live`` (blocks,) lanes, to the row of ``counts``
         (batches, bins) of the block's ``batch`` (blocks,); it is copied to ``trace`` (blocks,
-        samples·rows·W) from its second sample on. Returns the checksum of its sources: when it has
-        changed, numba's disk cache compiles anew.
+        samples·rows·W) from its second sample on.
         """
         n, matrix = step.matrix.shape[0] // 2, step.long_matrix if substeps else step.matrix
         s, number = zero_rows(watch.total), zero_rows(1)
         z, words = zero_rows(pairs).view(np.float32), zero_rows(1).view(np.uint64)
         index, second = np.zeros(W, np.int64), np.zeros(W, np.int64)
         if substeps:
-            size, groups, chosen = (
-                watch.total * NARROW,
-                zero_rows(watch.total),
-                np.zeros(W, np.int64),
-            )
+            size, groups = watch.total * NARROW, zero_rows(watch.total)
+            chosen = np.zeros(W, np.int64)
             begins, halves = zero_rows(1).view(np.uint64), words.view(np.uint32)
         for b in range(x.shape[0]):
             s[: 2 * n * W] = x[b]

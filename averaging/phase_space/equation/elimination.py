@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from averaging.phase_space.equation.basis import RESIDUAL, Basis, basis
+from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain, chain_of, places
 from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.krylov import RESIDUAL
 from fpk.numeric.arrays import ROUND_OFF, Array, Integers
 
 ELIMINATED_IN: type = np.float32

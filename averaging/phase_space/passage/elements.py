@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigs, splu
 
-from averaging.phase_space.equation.basis import EVERY, VECTORS, krylov
+from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.passage.mesh import Mesh
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
@@ -88,11 +88,16 @@ class Elements:
         """The sparse factors of K."""
         return factorise_sparse(self.K)
 
+    def solve(self, right: Array, trans: str = "N") -> Array:
+        """Return x with K x = ``right``, or Kᵀ x = ``right`` if ``trans`` is "T", refined once."""
+        K = self.K if trans == "N" else self.K.T
+        x = self.factors.solve(right, trans)
+        return np.asarray(x + self.factors.solve(right - K @ x, trans))
+
     @cached_property
     def mean(self) -> Array:
         """Coefficients of T, up to a factor that round-off changes if failure is rare."""
-        x = self.factors.solve(self.load)
-        return np.asarray(x + self.factors.solve(self.load - self.K @ x))
+        return self.solve(self.load)
 
     def moments(self, start: Array) -> tuple[float, float, float]:
         """Return E T and E T² of the functional ``start``, and the relative mass lost to round-off.
@@ -101,8 +106,7 @@ class Elements:
         failure is rare. The identity y'(−L 1) = start'1 determines the factor; its difference from
         1 is the mass lost.
         """
-        y = self.factors.solve(start, "T")
-        y += self.factors.solve(start - self.K.T @ y, "T")
+        y = self.solve(start, "T")
         factor = float(y @ self.exit) / float(start @ self.one)
         y /= factor
         mean = float(y @ self.load)

@@ -17,13 +17,14 @@ of its own.
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import legder, legvander
 
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.quadrature import gauss_legendre
-from fpk.system.process import Process
+from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
 """Degree of the enriched solution, whose distance estimates the error, above that of the answer."""
@@ -38,8 +39,33 @@ NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 """Solver of (process, nodes, degree, Gauss points) for Legendre series of u and a residual."""
 
 
+class Rule(NamedTuple):
+    """Quadrature points of an element in [0, 1], and the Legendre polynomials P_j there.
+
+    ``P`` (degree + 3, points) are values at the Gauss points ``share`` with ``weight``, ``tested``
+    (2 · points, tests · (degree + 3)) are values and derivatives times the degree + 2 test
+    functions. ``enriched_weight`` is the interpolatory rule without the middle point: its distance
+    from the Gauss rule exceeds the error of the latter.
+
+    ``contact_…`` are Gauss points in (H − H_c)^⅓ of an element that begins at a contact energy H_c:
+    first the rule for the mass of the answer, then a rule of twice as many points for the enriched
+    solution. T is smooth in √(H − H_c), but stiff contact leaves a layer just above H_c, and with
+    little or no clearance T has other roots and both rules converge algebraically: the finer rule
+    then has less than half of the error, for any power of H − H_c from ½ on.
+    """
+
+    share: Array
+    weight: Array
+    enriched_weight: Array
+    P: Array
+    tested: Array
+    contact_share: Array
+    contact_weight: Array
+    contact_P: Array
+
+
 @lru_cache
-def element_rule(degree: int, degrees_of_freedom: int = 1) -> tuple[Array, ...]:
+def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
     """Return the points of elements of ``degree`` for T ~ H^(n−1), n = ``degrees_of_freedom``."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
@@ -54,13 +80,113 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> tuple[Array, ...]:
     value = np.asarray(legvander(x, highest), dtype=float)
     slope = 2.0 * value[:, :-1] @ legder(np.eye(highest + 1))
     tests = value[:, :-1, None]
-    tested = np.concatenate([(tests * f[:, None]).reshape(points, -1) for f in (value, slope)])
-    of_contact = np.asarray(legvander(2.0 * t**3 - 1.0, highest).T, dtype=float)
-    own = 0.5 * (1.0 + x), 0.5 * w, interpolation, value.T, tested
-    return *own, t**3, 3.0 * t**2 * contact_w, of_contact
+    return Rule(
+        share=0.5 * (1.0 + x),
+        weight=0.5 * w,
+        enriched_weight=interpolation,
+        P=value.T,
+        tested=np.concatenate([(tests * f[:, None]).reshape(points, -1) for f in (value, slope)]),
+        contact_share=t**3,
+        contact_weight=3.0 * t**2 * contact_w,
+        contact_P=np.asarray(legvander(2.0 * t**3 - 1.0, highest).T, dtype=float),
+    )
 
 
-def residuals_of(A: Array, u: Array) -> tuple[Array, Array, Array]:
+class Elements(NamedTuple):
+    """Solutions on single elements, each scaled to mass 1; every array is (elements, …).
+
+    ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
+    p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
+    ``weights``. ``residual`` of the equations is relative to their terms; ``net_flux`` is the mean
+    of J and ``one_way`` the sum of the sizes of its terms. ``coefficient_error`` is the largest
+    relative error of the coefficients, ``slope_error`` the resulting error of ln p from one end of
+    the element to the other.
+    """
+
+    coefficient_error: Array
+    slope_error: Array
+    u: Array
+    enriched: Array
+    log_factor: Array
+    x: Array
+    weights: Array
+    values: Array
+    enriched_values: Array
+    residual: Array
+    net_flux: Array
+    one_way: Array
+
+
+def solve_elements(
+    process: Process, nodes: Array, degree: int, null_vectors: NullVectors | None = None
+) -> Elements:
+    """Solve on each element between ``nodes``, in ``degree`` and in ``degree`` + ``ENRICHMENT``.
+    ``null_vectors``, if given, is used in place of elimination in each element."""
+    rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
+    contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
+    x, points = left[:, None] + h * rule.share, rule.share.size
+    inner = left[contact, None] + h[contact] * rule.contact_share
+    flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
+    c = Coefficients(*(a[: x.size].reshape(x.shape) for a in flat))
+    error = c.relative_error.max(axis=1)
+    log_factor = c.log_density_of_states.max(axis=1)
+    T = np.exp(c.log_density_of_states - log_factor[:, None])
+    # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
+    weighted = rule.weight * T
+    factors = np.hstack([h * c.dissipation * weighted, -0.5 * c.diffusion * weighted])
+    A = (factors @ rule.tested).reshape(left.size, degree + 2, degree + 3)
+    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
+    A /= largest
+    degrees = degree, degree + ENRICHMENT
+    if null_vectors is None:
+        u, enriched = (_element_null_vectors(A, m) for m in degrees)
+    else:
+        (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
+    residual, net_flux, one_way = _residuals(A, u)
+    values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
+    weights, better_mass = np.broadcast_to(rule.weight, T.shape), better @ rule.enriched_weight
+    if len(process.nonsmooth):
+        of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
+        error[contact] = np.maximum(error[contact], of_error.max(axis=1, initial=0.0))
+        inner_T = np.exp(of_T - log_factor[contact, None])
+        own_values, finer = (
+            inner_T * (f[contact] @ rule.contact_P[: f.shape[1]]) for f in (u, enriched)
+        )
+        # Elements without contact have fewer points: the last is repeated with weight 0.
+        count = degree + CONTACT_POINTS
+        places = np.minimum(np.arange(count), points - 1)
+        x, values, better = (f[:, places] for f in (x, values, better))
+        weights = np.where(np.arange(count) < points, weights[:, places], 0.0)
+        x[contact], weights[contact] = inner[:, :count], rule.contact_weight[:count]
+        values[contact], better[contact] = own_values[:, :count], finer[:, :count]
+        better_mass[contact] = finer[:, count:] @ rule.contact_weight[count:]
+    mass = (weights * values).sum(axis=1)
+    # The first equation, of the test function 1, is the mean of J. h² may underflow.
+    scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
+    mass, better_mass = h * mass[:, None], h * better_mass[:, None]
+    slope_error = np.zeros(left.size)
+    if null_vectors is not None:
+        # A global solver leaves a net flux by round-off, which tilts u by 2 J/A_01.
+        slope_error = 2.0 * net_flux / np.maximum(np.abs(A[:, 0, 1]), SMALLEST)
+    if process.state_damping:
+        slope_error += (h * rule.weight * log_density_slope_error(c)).sum(axis=1)
+    return Elements(
+        coefficient_error=error,
+        slope_error=slope_error,
+        u=u / mass,
+        enriched=enriched / better_mass,
+        log_factor=log_factor,
+        x=x,
+        weights=h * weights,
+        values=values / mass,
+        enriched_values=better / better_mass,
+        residual=residual if null_vectors is None else np.full(left.size, own),
+        net_flux=scale * net_flux,
+        one_way=scale * one_way,
+    )
+
+
+def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
     """Relative residual of ``A`` ``u`` = 0; residual and size of terms of its first equation. ``A``
     is (elements, equations, terms) and ``u`` (elements, terms)."""
     # All terms are zero if an element is so short that the damping in it underflows.
@@ -69,10 +195,13 @@ def residuals_of(A: Array, u: Array) -> tuple[Array, Array, Array]:
     return residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST), residual[:, 0], size[:, 0]
 
 
-def element_null_vectors(A: Array, degree: int) -> Array:
-    """Return u (elements, ``degree`` + 1), u_0 = 1, with ``A`` u = 0 in the first ``degree`` rows;
-    u_0 is the mean of u, which does not change sign. If elimination meets a zero pivot, as T spans
-    hundreds of decades in one element, the u of least norm is returned."""
+def _element_null_vectors(A: Array, degree: int) -> Array:
+    """Return u (elements, ``degree`` + 1), u_0 = 1, with ``A`` u = 0 in the first ``degree`` rows.
+
+    u_0 is the mean of u over the element, which is not 0 as u does not change sign. If T spans
+    hundreds of decades in one element, some directions of u have no weight in any equation, and
+    elimination meets a zero pivot: then the u of least norm is returned.
+    """
     B, right = A[:, :degree, 1 : degree + 1], -A[:, :degree, :1]
     try:
         rest = np.linalg.solve(B, right)

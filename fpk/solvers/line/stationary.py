@@ -16,8 +16,18 @@ from scipy.ndimage import maximum_filter1d
 from fpk.answer.certificate import NEGATIVE, Certificate, Measured, certify
 from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUND_OFF, SMALLEST, Array, Flags
 from fpk.numeric.piecewise import Piecewise
-from fpk.solvers.line import elements, mesh
-from fpk.system.process import Coefficients, Process, log_density_slope_error
+from fpk.solvers.line.elements import Elements, NullVectors, element_rule, solve_elements
+from fpk.solvers.line.mesh import (
+    ELEMENT_FALL,
+    GRADED_LAYERS,
+    SMOOTH_FALL,
+    Probe,
+    initial_nodes,
+    probe_process,
+    split_points,
+    with_layers,
+)
+from fpk.system.process import Process
 
 LINE_FACTOR = 2.0
 """Stated L1 error over the distance to the enriched solution. At an algebraic singularity of order
@@ -62,7 +72,7 @@ class StationarySolution:
     @property
     def panels(self) -> Array:
         """Nodes with layers where p is not smooth: Gauss rules between them have round-off only."""
-        return mesh.with_layers(self.nodes, self.process.nonsmooth)
+        return with_layers(self.nodes, self.process.nonsmooth)
 
     @property
     def unknowns(self) -> int:
@@ -127,7 +137,7 @@ class StationarySolution:
         scale, other = np.array([self.answer.log_scale, self.enriched.log_scale])[..., None]
         distance = np.abs(u - np.exp(other - scale) * better)
         x = self.nodes[:-1, None] + np.diff(self.nodes)[:, None] * 0.5 * (1.0 + t)
-        share = elements.element_rule(self.degree, self.process.degrees_of_freedom)[0][0]
+        share = element_rule(self.degree, self.process.degrees_of_freedom).share[0]
         log_T = self._log_states(np.maximum(x, self.nodes[1] * share))
         # The maximum filter would drop NaN: it is replaced by the largest number.
         distance = np.nan_to_num(distance, nan=1.0 / SMALLEST, posinf=1.0 / SMALLEST)
@@ -157,21 +167,22 @@ def solve_stationary(
     if degree is None:
         digits = round(-math.log10(tol))
         degree = min(max(digits + 4, 3), 16) if smooth else min(max(digits, 3), 12)
-    probe = mesh.probe_process(process)
-    nats: Array | float = mesh.ELEMENT_FALL
+    probe = probe_process(process)
+    nats: Array | float = ELEMENT_FALL
     if smooth:
         # The error of an element is weighted by its mass, and rises as nats^(degree + 1). Up to 7
         # nats p at the far end exceeds the error of its element, so that p stays positive.
         fall = probe.log_mass.max() - probe.log_mass
-        nats = mesh.SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
-    end, layers = probe.extent(1e-2 * tol), 0 if smooth else mesh.GRADED_LAYERS
-    nodes = mesh.initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
+        nats = SMOOTH_FALL * np.exp(np.minimum(fall / (degree + 1), math.log(1.75)))
+    end, layers = probe.extent(1e-2 * tol), 0 if smooth else GRADED_LAYERS
+    nodes = initial_nodes(probe, end, process.nonsmooth, nats=nats, layers=layers)
     for _ in range(40):  # 2^−40 of a length is near the round-off of its ends
-        solution, marked = _solve(process, probe, nodes, degree, tol)
+        elements = solve_elements(process, nodes, degree)
+        solution, marked = _join_and_judge(process, probe, nodes, elements, degree, tol)
         # Element matrices of more than a block take seconds.
         if not marked.any() or marked.size * degree**2 > BLOCK_SIZE:
             break
-        cut = mesh.split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
+        cut = split_points(nodes[:-1][marked], nodes[1:][marked], process.nonsmooth)
         before, nodes = nodes, np.unique(np.append(nodes, cut))
         if nodes.size < before.size + cut.size:
             break
@@ -184,103 +195,50 @@ def solve_on_mesh(
     degree: int,
     *,
     tol: float = np.inf,
-    null_vectors: elements.NullVectors | None = None,
+    null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
     """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
     ``null_vectors`` goes to ``solve_elements``."""
-    return _solve(process, mesh.probe_process(process), nodes, degree, tol, null_vectors)[0]
+    elements = solve_elements(process, nodes, degree, null_vectors)
+    return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 
 
-def _solve(
-    process: Process,
-    probe: mesh.Probe,
-    nodes: Array,
-    degree: int,
-    tol: float,
-    null_vectors: elements.NullVectors | None = None,
+def _join_and_judge(
+    process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
-    """Return the solution as ``solve_on_mesh`` does, and which elements to cut in two. ``probe``
-    bounds the tail."""
-    share, weight, enriched_weight, P, tested, *of_contact = elements.element_rule(
-        degree, process.degrees_of_freedom
-    )
-    contact_share, contact_weight, contact_P = of_contact
-    left, h, points = nodes[:-1], np.diff(nodes), share.size
-    contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
-    x, inner = left[:, None] + h * share, left[contact, None] + h[contact] * contact_share
-    flat = process.coefficients(np.concatenate([x.ravel(), inner.ravel()]))
-    c = Coefficients(*(a[: x.size].reshape(x.shape) for a in flat))
-    # Arrays are (elements, …); T is relative to its largest value in each element.
-    error, log_factor = c.relative_error.max(axis=1), c.log_density_of_states.max(axis=1)
-    T = np.exp(c.log_density_of_states - log_factor[:, None])
-    # J h = factors · (u, du/dt) at the Gauss points, t from 0 to 1 over the element.
-    weighted = weight * T
-    factors = np.hstack([h * c.dissipation * weighted, -0.5 * c.diffusion * weighted])
-    A = (factors @ tested).reshape(left.size, degree + 2, degree + 3)
-    largest = np.maximum(np.abs(A).max(axis=2, keepdims=True), SMALLEST)
-    A /= largest
-    degrees = degree, degree + elements.ENRICHMENT
-    if null_vectors is None:
-        found = [(elements.element_null_vectors(A, m), 0.0) for m in degrees]
-    else:
-        found = [null_vectors(process, nodes, m, points) for m in degrees]
-    series = [u for u, _ in found]
-    relative, net_flux, one_way = elements.residuals_of(A, series[0])
-    residual = float(relative.max()) if null_vectors is None else found[0][1]
-    values, better = (T * (f @ P[: f.shape[1]]) for f in series)
-    weights, better_mass = np.broadcast_to(weight, T.shape), better @ enriched_weight
-    if len(process.nonsmooth):
-        of_T, of_error = (a[x.size :].reshape(inner.shape) for a in flat[-2:])
-        error[contact] = np.maximum(error[contact], of_error.max(axis=1, initial=0.0))
-        inner_T = np.exp(of_T - log_factor[contact, None])
-        own_values, finer = (inner_T * (f[contact] @ contact_P[: f.shape[1]]) for f in series)
-        # Elements without contact have fewer points: the last is repeated with weight 0.
-        count = degree + elements.CONTACT_POINTS
-        places = np.minimum(np.arange(count), points - 1)
-        x, values, better = (f[:, places] for f in (x, values, better))
-        weights = np.where(np.arange(count) < points, weights[:, places], 0.0)
-        x[contact], weights[contact] = inner[:, :count], contact_weight[:count]
-        values[contact], better[contact] = own_values[:, :count], finer[:, :count]
-        better_mass[contact] = finer[:, count:] @ contact_weight[count:]
-    mass = (weights * values).sum(axis=1)
-    # The first equation, of the test function 1, is the mean of J. h² may underflow.
-    scale = np.abs(largest[:, 0, 0] / h[:, 0] / mass / h[:, 0])
-    # Each element is scaled to mass 1, and then to match its neighbours.
-    masses, weights = (h * mass[:, None], h * better_mass[:, None]), h * weights
-    values, better = values / masses[0], better / masses[1]
-    signed, log_scale, shares = zip(
-        *(_match_at_nodes(u / m, log_factor) for u, m in zip(series, masses, strict=True)),
-        strict=True,
-    )
-    p, finer_p = shares[0][:, None] * values, shares[1][:, None] * better
-    distance = float((weights * np.abs(p - finer_p)).sum())
+    """Return the density of the elements ``e``, scaled to match, and which elements to cut in two.
+
+    They have the ``degree`` and lie between ``nodes``; ``tol`` is the L1 tolerance; ``probe``
+    bounds the tail.
+    """
+    series = e.u, e.enriched
+    signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
+    p, better = share[0][:, None] * e.values, share[1][:, None] * e.enriched_values
+    distance = float((e.weights * np.abs(p - better)).sum())
     # The mass of the enriched solution has a different quadrature error, so that both solutions
     # differ by a factor. Their distance may then vanish where p is wrong: the factor is an error.
-    enriched_mass = float((weights * finer_p).sum())
-    size, least, most = np.abs(shares[0]), float(p.min()), float(p.max())
-    tail = probe.tail_bound(float(x[-1, -1]), abs(float(p[-1, -1])))
+    enriched_mass = float((e.weights * better).sum())
+    size = np.abs(share[0])
+    least, most, residual = float(p.min()), float(p.max()), float(e.residual.max())
+    net_flux = float((size * e.net_flux).max() / (size * e.one_way).max())
+    tail = probe.tail_bound(float(e.x[-1, -1]), abs(float(p[-1, -1])))
     # Relative errors of s and b are relative errors of d ln p/dH. Over the bulk of the mass ln p
     # falls by about 1, so that they are errors of ln p, too; each element is weighted by its mass.
-    coefficient_error, slope_error = 2.0 * float(size @ error), np.zeros(left.size)
-    if null_vectors is not None:
-        # A global solver leaves a net flux by round-off, which tilts u by 2 J/A_01.
-        slope_error = 2.0 * net_flux / np.maximum(np.abs(A[:, 0, 1]), SMALLEST)
-    if process.state_damping:
-        slope_error += (h * weight * log_density_slope_error(c)).sum(axis=1)
+    coefficient_error = 2.0 * float(size @ e.coefficient_error)
     # An error of ln p over one element moves mass from one side to the other, at most twice the
     # mass of the smaller side, the element included in both.
     below = np.cumsum(size)
     sides = np.minimum(below, np.maximum(1.0 - below, 0.0) + size)
     estimate = LINE_FACTOR * distance + 2.0 * tail + coefficient_error
-    estimate += 2.0 * float(slope_error @ sides)
+    estimate += 2.0 * float(e.slope_error @ sides)
     estimate += 2.0 * EPS * (size.size + degree**2)  # round-off of sums over elements and functions
     measured = Measured(
         l1_error=estimate,
-        mass_defect=abs(float((weights * p).sum()) - 1.0),
+        mass_defect=abs(float((e.weights * p).sum()) - 1.0),
         minimum=least / most,
         residual=residual,
         tail_mass=tail,
-        net_flux=float((size * scale * net_flux).max() / (size * scale * one_way).max()),
+        net_flux=net_flux,
     )
     if not residual < 0.1 * ROUND_OFF:  # elimination in an element leaves a few hundred EPS
         measured = measured.with_failures(f"the algebraic residual is {residual:.2g}")
@@ -290,7 +248,7 @@ def _solve(
         degree=degree,
         answer=Piecewise(nodes, signed[0], log_scale[0]),
         enriched=Piecewise(nodes, signed[1], log_scale[1] - log_enriched_mass),
-        common_error=coefficient_error + 2 * abs(enriched_mass - 1.0) + float(slope_error.sum()),
+        common_error=coefficient_error + 2 * abs(enriched_mass - 1.0) + float(e.slope_error.sum()),
         measured=measured,
         certificate=certify(measured, tol=tol),
     )
@@ -300,9 +258,9 @@ def _solve(
     # The error that an element causes: by its shape, and by its scale relative to its neighbours,
     # which changes the mass on the smaller side.
     step = np.minimum(below, 1.0 - below)[:-1] * np.abs(np.diff(log_scale[0] - log_scale[1]))
-    caused = size * np.sum(weights * np.abs(values - better), axis=1)
-    caused += np.append(step, 0.0) + np.append(0.0, step)
-    return solution, (p.min(axis=1) < NEGATIVE * most) | (caused > 0.1 * tol / caused.size)
+    own = size * np.sum(e.weights * np.abs(e.values - e.enriched_values), axis=1)
+    own += np.append(step, 0.0) + np.append(0.0, step)
+    return solution, (p.min(axis=1) < NEGATIVE * most) | (own > 0.1 * tol / own.size)
 
 
 def _match_at_nodes(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:

@@ -18,7 +18,6 @@ from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
-from fpk.numeric.machine import usable_cores
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
 from sim.questions.limits import CHUNK_STEPS, first_step
@@ -185,22 +184,36 @@ def energy_columns(observable: Observable, H: Array) -> list[Array]:
 
 
 def energy_passage(
-    form: SquareRootForm, limits: tuple[Array, Array], starts: Starts, asked: Asked, method: Any
+    form: SquareRootForm,
+    limits: tuple[Array, Array],
+    starts: Starts,
+    asked: Asked,
+    *,
+    dt: float,
+    memory: float,
+    paths: int,
+    seed: int,
+    threads: int = 1,
+    seconds: float | None = None,
+    tol: float | None = None,
 ) -> Passage:
-    """Return the first passage of any of ``limits``: weights (limits, d) · X reach values
-    (limits,). ``method``: an ``AveragedSimulation``; its ``step``, in units of the fastest
-    relaxation time, is read at half of it, too. Exact steps are made once; else each step has its
-    own ``paths``, for ``MOST_DRAWS`` or ``seconds``; ``tol``: relative error of the mean."""
+    """Return the first passage of any of ``limits`` in steps of dt/2, and of ``dt`` for comparison.
+
+    Limits: weights (limits, d) · X reach values (limits,). Exact steps (``form.damping`` None) are
+    made once and read at both steps; else each step has its own paths. ``paths`` are simulated for
+    ``MOST_DRAWS`` or ``seconds``; ``tol``: relative error of the mean; ``memory``: see
+    ``passage_of``.
+    """
     exact, modulation = form.damping is None, asked.system.modulation
-    own = min(-(-method.paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS)
-    (weights, values), d, times = limits, form.noise.size, form.scales / form.noise
+    own = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS)
+    (weights, values), d = limits, form.noise.size
     # From rest the mean of Σ w X with the largest noise reaches the limit L at the time L/(w · d).
     loudest = 1.0 if modulation is None else modulation.largest
     filling = loudest * float(np.max(weights @ form.noise / values))
-    dt = min(method.step * float(times.min()), STEP_PER_RATE / filling)
-    rounds, first = -(-method.paths // own), first_step(dt, asked.times)
+    dt = min(dt, STEP_PER_RATE / filling)
+    rounds, first = -(-paths // own), first_step(dt, asked.times)
     most = MOST_DRAWS / ((2 if exact else 3) * rounds * own * d)
-    most = (most if method.seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
+    most = (most if seconds is None else 2.0**40) * dt  # with seconds the wall time ends it
     longest = max(min(most, noise_times(modulation)[1]), float(np.max(asked.times, initial=0.0)))
     known: Any = {"modulation": modulation, "diffusion": form.diffusion(weights)}
     known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
@@ -213,49 +226,59 @@ def energy_passage(
             pass_under(rows, samples // k, done // k, *times, dt=k * dt, begin=begin, **known)
 
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
-        stream = stream_of(method.seed, number, of_starts=True)
+        stream = stream_of(seed, number, of_starts=True)
         X = form.inverse(starts(own, stream))
         past = np.any((1.0 - ROUND_OFF) * values <= X @ weights.T, axis=1)
         reader = lambda motion: partial(see, dt=motion.dt, begin=motion.begin)  # noqa: E731
         runs = list[Run]()
         for k, (many, which) in enumerate([(2, (0, 1))] if exact else [(2, (0,)), (1, (1,))]):
-            numbers = first / many, method.seed, 2 * number + k
+            numbers = first / many, seed, 2 * number + k
             motion = EnergyEnsemble(form, X, *numbers, workers, modulation)
             runs.append((motion, many, reader, which))
         return runs, past, stream.exponential(size=(own, values.size))  # see ``pass_energies``
 
-    memory, steps = 2.0 * float(times.max()), (first, dt, 1, longest, longest)
-    with workers_of(None, method.threads or usable_cores()) as workers:
-        watch = Watch(method.seconds or inf, lambda: False, method.tol)
-        settings = {"steps": form.steps, "seed": method.seed}
+    with workers_of(None, threads) as workers:
+        watch, steps = Watch(seconds or inf, lambda: False, tol), (first, dt, 1, longest, longest)
+        settings = {"steps": form.steps, "seed": seed}
         return passage_in_rounds(asked, watch, (rounds, rounds), begun, steps, memory, settings)
 
 
-def energy_transient(form: SquareRootForm, starts: Starts, asked: Asked, method: Any) -> Transient:
-    """Return the densities of energies ``asked.observable``, certified.
+def energy_transient(
+    form: SquareRootForm,
+    starts: Starts,
+    asked: Asked,
+    *,
+    dt: float,
+    paths: int,
+    seed: int,
+    threads: int = 1,
+    seconds: float | None = None,
+    tol: float | None = None,
+) -> Transient:
+    """Return the densities of energies ``asked.observable`` at ``asked.times``, certified.
 
-    Exact steps lead from time to time; else a step (see ``energy_passage``) and half of it have
-    their own paths. Without ``tol`` two rounds of ``paths`` are made.
+    Exact steps (``form.damping`` None) lead from time to time; else steps ``dt`` and dt/2 have
+    their own paths. Two rounds of ``paths`` are made; with ``tol`` one, and more until the expected
+    L1 error is below it at all times, or ``seconds`` of wall time have passed.
     """
-    dt = method.step * float((form.scales / form.noise).min())
     longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
-    seen = lambda ensemble: energy_columns(asked.observable, form.energies(ensemble.X))  # noqa: E731
+
+    def seen(ensemble: EnergyEnsemble) -> list[Array]:
+        return energy_columns(asked.observable, form.energies(ensemble.X))
 
     def states(number: int, begin: Callable[[], Any]) -> Iterable[tuple[Any, ...]]:
-        X = form.inverse(starts(method.paths, stream_of(method.seed, number, of_starts=True)))
+        X = form.inverse(starts(paths, stream_of(seed, number, of_starts=True)))
 
         def begun(dt: float, halved: bool) -> EnergyEnsemble:
-            numbers = dt, method.seed, 2 * number + halved
+            numbers = dt, seed, 2 * number + halved
             return EnergyEnsemble(form, X, *numbers, workers, asked.system.modulation)
 
         start = energy_columns(asked.observable, form.energies(X))
         return motions(begun, start, seen, asked.times, longest, many, begin)
 
-    with workers_of(None, method.threads or usable_cores()) as workers:
+    with workers_of(None, threads) as workers:
         # Without a tolerance, two rounds whatever the time: no error is above inf.
-        watch = Watch(
-            method.seconds or inf, lambda: False, inf if method.tol is None else method.tol
-        )
-        settings = {"seed": method.seed, "steps": form.steps}
-        axis, rounds = partial(energy_axis, form), (2, max(1, MAX_TRAJECTORIES // method.paths))
+        watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
+        settings = {"seed": seed, "steps": form.steps}
+        axis, rounds = partial(energy_axis, form), (2, max(1, MAX_TRAJECTORIES // paths))
         return transient_in_rounds(asked, watch, states, axis, rounds, dt, settings)

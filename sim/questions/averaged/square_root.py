@@ -39,7 +39,7 @@ class SquareRootForm:
 
     @property
     def steps(self) -> str:
-        """Words on the steps."""
+        """Whether steps are "exact" or by "Strang splitting", for the settings of an answer."""
         return "exact" if self.damping is None else "Strang splitting"
 
     def under(self, factor: float) -> "SquareRootForm":

@@ -159,7 +159,7 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
         """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
 
         ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
-        recorded in the middle of the damping and before the kick. Returns ``kernel_checksum``.
+        recorded in the middle of the damping and before the kick.
         """
         n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
         values = limit[0]

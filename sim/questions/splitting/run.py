@@ -221,7 +221,6 @@ def repetition(
     """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result.
 
     The result is what ``split`` returns, within ``left`` seconds, and the number of steps.
-    ``problem`` has the fields and methods of ``SystemProblem``.
     """
     until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))

@@ -8,12 +8,12 @@ from test_averaging_phase_space import wrong
 
 import fpk
 from averaging.gaussian import Linear
-from averaging.phase_space import dynamics
-from averaging.phase_space.dynamics import displacement_vectors, generator
+from averaging.phase_space import resolvent
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.elimination import expand
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
+from averaging.phase_space.resolvent import displacement_vectors, generator
 from averaging.theory import Exact
 from fpk.answer.method import silent
 from fpk.answer.names import parse_observable
@@ -90,8 +90,8 @@ def test_what_the_space_leaves_of_a_correlation_is_in_its_error(monkeypatch):
     c, b = displacement_vectors(e, 0, A)
 
     def correlation(most):
-        monkeypatch.setattr(dynamics, "VECTORS", most)
-        values, error = dynamics.decays(A, c, b, lags, 1.0, lambda share: None, tol=1e-12)
+        monkeypatch.setattr(resolvent, "VECTORS", most)
+        values, error = resolvent.decays(A, c, b, lags, 1.0, lambda share: None, tol=1e-12)
         return values[0], error
 
     exact, left = correlation(300)
@@ -157,7 +157,7 @@ def test_rates_of_one_mass_are_those_of_finite_differences():
 )
 def test_rates_that_may_be_missing_are_said_to(limits, count, tol, words, monkeypatch):
     for name, value in limits.items():
-        monkeypatch.setattr(dynamics, name, value)
+        monkeypatch.setattr(resolvent, name, value)
     answer = PhaseSpace().relaxation(LIGHT, count, tol=tol, progress=silent)
     assert any(words in failure for failure in answer.certificate.failures)
 

@@ -264,11 +264,8 @@ def passage_with_modulation(
     if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
     does.
     """
-    unit, last, quiet = (
-        modulation.largest,
-        modulation.last,
-        modulated.quiet_until(modulation, source),
-    )
+    unit, last = modulation.largest, modulation.last
+    quiet = modulated.quiet_until(modulation, source)
     if unit == 0.0:
         raise NotApplicable("there is no noise at any time: nothing passes a limit")
     if modulation.times.size == 1:
@@ -325,11 +322,12 @@ def passage_with_modulation(
     failure_error = error[:-2] + _by_coefficients(relative, failure) + ROUNDINGS * EPS
     mean = variance = Number(np.inf, np.inf)
     if later is not None:
-        first, square = numbers[-2:].tolist()
+        mean_time, mean_square = numbers[-2:].tolist()
         lost = error[-2:] + found[0][2] + 2.0 * relative * numbers[-2:]
-        first_error, square_error = lost.tolist()
-        mean = Number(first + quiet, first_error)
-        variance = Number(square - first**2, square_error + 2.0 * first * first_error)
+        time_error, square_error = lost.tolist()
+        mean = Number(mean_time + quiet, time_error)
+        variance_error = square_error + 2.0 * mean_time * time_error
+        variance = Number(mean_square - mean_time**2, variance_error)
     return certify_passage(
         (mean, variance, Number(*later.rate()) if later else None),
         times,
