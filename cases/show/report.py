@@ -251,8 +251,8 @@ def numbers_of(curve: Record) -> str:
                 parts.append(f"{name}: {', '.join(chances)} ({by})")
     sentences = ["; ".join(parts) + "."] if parts else []
     if unknown := curve["averaging_unknown"]:
-        words = "is solved by averaged equations only: the averaging error is unknown."
-        sentences.append(f"{', '.join(unknown)} {words}")
+        words = "solved by averaged equations only: the averaging error is unknown."
+        sentences.append(f"{', '.join(unknown)} {'is' if len(unknown) == 1 else 'are'} {words}")
     text = " ".join(sentences)
     return text[:1].upper() + text[1:]
 
