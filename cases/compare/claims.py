@@ -71,11 +71,12 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
     ):
         if values is None:
             continue
-        sign, holds = RELATIONS[values.relation]
+        relation, bound = values
+        sign, holds = RELATIONS[relation]
         for curve in curves:
-            if curve.value is None or not holds(curve.value, values.limit):
+            if curve.value is None or not holds(curve.value, bound):
                 continue
-            claim = f"{observable_name(of)} {words} for {symbol} {sign} {values.limit:g}"
+            claim = f"{observable_name(of)} {words} for {symbol} {sign} {bound:g}"
             if (density := _reference(curve, of)) is None:
                 yield Finding(claim, curve.label, "no answer for the full system", "not checked")
                 continue
@@ -179,16 +180,17 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
             # Differences of the solved averaged equation to the full system.
             wanted = "averaging", "relative", question.theory
             own = [c for c in replies.comparisons if (c.measures, c.norm, c.a.method) == wanted]
-            for what, limits in (
+            for what, values in (
                 ("failure rate", question.rate_error),
                 ("P(T ≤ t)", question.failure_error),
             ):
-                if limits is None:
+                if values is None:
                     continue
-                sign, holds = RELATIONS[limits.relation]
+                relation, limit = values
+                sign, holds = RELATIONS[relation]
                 claim = (
                     f"{question.name}: averaging error of the {what} by the {question.theory}"
-                    f" theory {sign} {limits.limit:g}"
+                    f" theory {sign} {limit:g}"
                 )
                 of = f"{question.name}: {what.removesuffix('t)')}"
                 known = [c for c in own if c.observable.startswith(of)]
@@ -197,8 +199,8 @@ def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
                     continue
                 c = min(known, key=lambda c: c.error)
                 measured = f"relative {with_error(c.L1, c.error)}, {c.a.label} against {c.b.label}"
-                undecided = abs(c.L1 - limits.limit) <= 2.0 * c.error
-                verdict = _verdict(None if undecided else holds(c.L1, limits.limit))
+                undecided = abs(c.L1 - limit) <= 2.0 * c.error
+                verdict = _verdict(None if undecided else holds(c.L1, limit))
                 yield Finding(claim, curve.label, measured, verdict)
 
 

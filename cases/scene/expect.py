@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import ge, gt, le, lt
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.errors import InvalidInput
@@ -18,19 +18,15 @@ RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
 }
 """Relations by which a claim gives a range of the varied number, with their signs."""
 
-
-class Range(NamedTuple):
-    """Values of the varied number in a ``relation`` of ``RELATIONS`` to ``limit``."""
-
-    relation: str
-    limit: float
+Range = tuple[str, float]
+"""Values of a number: the key of their relation in ``RELATIONS``, and the limit they relate to."""
 
 
 def range_of(key: str, given: Mapping[str, float]) -> Range:
     """Return the one range in ``given``; raise ``InvalidInput`` for ``key`` if not exactly one."""
     if len(given) != 1:
         raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
-    return Range(*next(iter(given.items())))
+    return next(iter(given.items()))
 
 
 @dataclass(frozen=True)

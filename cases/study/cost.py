@@ -19,7 +19,6 @@ from cases.study.equations import ELEMENTS, EQUATIONS, TOLERANCE_DIGITS, Equatio
 from cases.study.law import FULL, Law, price_averaged_simulation, price_schemes, price_solutions
 from cases.study.levels import Discretisation, Level, time_call, timing
 from cases.study.prices import (
-    Cheapest,
     NotTimed,
     Priced,
     by_equation,
@@ -136,7 +135,7 @@ class CostStudy:
         axes = tuple(dict.fromkeys(f"{r.equation}: {r.axis}" for r in self.routes))
         lost = [{k: v for k, v in asdict(n).items() if k != "baseline"} for n in self.not_timed]
         prices = [_price(c) for c in price_list(self.routes)]
-        promised = [_price(c) for c in price_list(self.routes, promised=True) if c.point]
+        promised = [_price(c) for c in price_list(self.routes, promised=True) if c["point"]]
         promise = (
             "Numbers of elements above are right for this scene. A tolerance is met on every scene,"
             " or the answer is not certified: --tol of fpk run and fpk density is this setting."
@@ -293,11 +292,15 @@ def _overtaking(study: CostStudy) -> tuple[str, ...]:
     return tuple(words)
 
 
-def _price(c: Cheapest) -> dict[str, Any]:
-    p, route = c.point, c.route or "reached by none here"
-    by = p and ("law of sampling" if p.modelled else "measurement")
-    price = {key: getattr(p, key, None) for key in ("settings", "seconds", "memory")}
-    return {"equation": c.equation, "digits": c.digits, "route": route, **price, "priced by": by}
+def _price(row: dict[str, Any]) -> dict[str, Any]:
+    """Return a row of ``price_list`` as the table shows it, its point spread over columns."""
+    point = row["point"]
+    return {
+        **{key: row[key] for key in ("equation", "digits")},
+        "route": row["route"] or "reached by none here",
+        **{key: getattr(point, key, None) for key in ("settings", "seconds", "memory")},
+        "priced by": point and ("law of sampling" if point.modelled else "measurement"),
+    }
 
 
 def _point_note(point: Level) -> str:

@@ -116,18 +116,11 @@ def answers_by_tolerance(
     return rows
 
 
-@dataclass(frozen=True)
-class Cheapest:
-    """The cheapest route for an error 10^−digits and its point, None if no route reaches it."""
-
-    equation: str
-    digits: int
-    route: str
-    point: Level | None
-
-
-def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Cheapest, ...]:
+def price_list(routes: Sequence[Priced], *, promised: bool = False) -> list[dict[str, Any]]:
     """Return the cheapest measured or modelled point of each equation for errors 10^−digits.
+
+    Each row has ``equation``, ``digits``, ``route`` and ``point``, a ``Level``; an empty route and
+    None for an error that no route reaches.
 
     ``promised``: among the points that were given a tolerance, by the tolerance instead of the
     error that the point happened to reach.
@@ -138,8 +131,8 @@ def price_list(routes: Sequence[Priced], *, promised: bool = False) -> tuple[Che
         for d in PRICED_DIGITS if min(error for *_, error in points) < inf else ():
             offers = [(route, p) for route, p, error in points if error <= 10.0**-d]
             route, point = min(offers, key=lambda o: o[1].seconds, default=("", None))
-            prices.append(Cheapest(equation, d, route, point))
-    return tuple(prices)
+            prices.append({"equation": equation, "digits": d, "route": route, "point": point})
+    return prices
 
 
 def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import fpk
 from cases.compare.claims import findings, shape_of
 from cases.compare.doubt import ACCEPTABLE_L1
 from cases.compare.routes import all_routes
-from cases.scene.expect import Expect, Range
+from cases.scene.expect import Expect
 from cases.scene.scene import load_scene, shipped_scenes
 from fpk.answer.contacts import StopClearance
 from fpk.answer.method import ROUTES
@@ -66,9 +66,9 @@ def test_gaussian_claims_are_about_the_curves_in_their_range():
         Found({"exact": uniform()}, "B = 1", 1.0),
         Found({}, "B = 9", 9.0),
     ]
-    above = Expect(Q1, non_gaussian=Range("above", 0.1))
+    above = Expect(Q1, non_gaussian=("above", 0.1))
     assert verdicts(above, *curves) == ["holds", "not checked"]
-    least = Expect(Q1, almost_gaussian=Range("at_least", 0.1))
+    least = Expect(Q1, almost_gaussian=("at_least", 0.1))
     assert verdicts(least, *curves) == ["holds", "does not hold", "not checked"]
 
 

@@ -98,16 +98,17 @@ GOOD = route("good", [(1e-2, 3e-2), (1e-6, 4e-2), (1e-10, 5e-2)])
 
 
 def test_prices_take_the_cheapest_point_that_is_good_enough():
-    found = {c.digits: c for c in price_list([CHEAP, GOOD])}
-    assert found[1].route == "cheap" and found[2].route == "cheap"
-    assert found[3].route == "good" and found[3].point.settings == "1e-06"
-    assert found[10].point.seconds == 5e-2
-    assert {c.digits: c.point for c in price_list([CHEAP])}[5] is None
+    found = {row["digits"]: row for row in price_list([CHEAP, GOOD])}
+    assert found[1]["route"] == "cheap" and found[2]["route"] == "cheap"
+    assert found[3]["route"] == "good" and found[3]["point"].settings == "1e-06"
+    assert found[10]["point"].seconds == 5e-2
+    assert {row["digits"]: row["point"] for row in price_list([CHEAP])}[5] is None
     # A tolerance is priced by its promise, not by what it happened to reach.
     lucky = Level("1e-02", 1e-9, 1e-8, 1.0, promised=1e-2)
     mesh = Level("24", 1e-9, 1e-8, 0.1)
     own = price_list([Priced("hp", "e", "axis", (lucky, mesh))], promised=True)[:3]
-    assert [c.point.settings if c.point else None for c in own] == ["1e-02", "1e-02", None]
+    points = [row["point"] for row in own]
+    assert [p and p.settings for p in points] == ["1e-02", "1e-02", None]
 
 
 def test_the_crossover_lies_where_the_laws_meet():
@@ -150,7 +151,7 @@ def test_settings_of_one_scene_keep_their_digits_on_others(table_of_fig6b, scene
     routes = {route.label: solve for route, solve in equation.by_tolerance.items()}
     settings = {}
     for c in table_of_fig6b:
-        settings.setdefault((c.route, c.point.promised), []).append(c.digits)
+        settings.setdefault((c["route"], c["point"].promised), []).append(c["digits"])
     for (name, tol), digits in settings.items():
         solution = routes[name](equation.process, tol=tol)
         answer = energy_density(equation.reference.observable, solution)
