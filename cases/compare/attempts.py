@@ -56,7 +56,8 @@ class Budget:
         """
         if self.seconds is None or not method.route.sampled:
             return work(method)
-        share, begin = max(1e-3, self._own / max(1, self._routes)), self.clock()
+        share = max(1e-3, round(self._own / max(1, self._routes), 3))  # messages quote it
+        begin = self.clock()
         try:
             return work(replace(method, seconds=share))
         finally:

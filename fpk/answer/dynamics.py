@@ -215,7 +215,8 @@ class Passage:
         unknown = np.flatnonzero(~(self.survival_error <= LARGEST_ERROR))
         if unknown.size and self.certificate.certified:
             k = unknown[0]
-            words = f"P(T > {self.times[k]:g}) is known to {self.survival_error[k]:.2g} only"
+            error = f"{self.survival_error[k]:.2g}, more than {LARGEST_ERROR:g}"
+            words = f"the error of P(T > {self.times[k]:g}) is {error}"
             object.__setattr__(self, "certificate", self.certificate.with_failures(words))
 
 
