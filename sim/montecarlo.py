@@ -23,17 +23,18 @@ class MonteCarlo(Settings, Method):
 
     ``paths`` trajectories are sampled for ``time`` each, after ``burn_in`` relaxation times.
     ``time`` None: ``relaxations`` relaxation times, but no more than the cost of ``most_steps``
-    uniform steps. ``dt`` None: ``step_factor`` times the step chosen for the system.
+    uniform steps. ``scheme`` is a name in ``sim.step.schemes.SCHEMES``. ``dt`` None:
+    ``step_factor`` times the step chosen for the system. ``seed``: of all random numbers.
     ``tol``: sample until the expected L1 error of the first observable, as it is returned at
-    points, is below ``tol``, at most for ``longest`` seconds. ``seconds``: sample for this time
-    instead. Both limits include the burn-in but not the compilation; an answer whose burn-in or
-    first chunk they cut short is not certified. ``step_pair``: run a second simulation at dt/2, in
-    two thirds of ``seconds``, and report the difference of each density and moment. ``threads``
-    None: all cores. ``cluster``: the address of a Dask scheduler; the answer depends on neither.
-    ``checkpoint``: a folder where the state is saved at intervals and from which a later run
-    continues. ``partial``: Ctrl-C ends the sampling, and the answer so far, not certified, is
-    returned. ``allow_unstable``: accept a ``dt`` at or above the stability limit; then nothing is
-    certified. ::
+    points, is below ``tol``, at most for ``longest`` seconds. ``seconds``: sample for this wall
+    time in place of ``time`` and ``longest``. These limits include the burn-in but not the
+    compilation; an answer whose burn-in or first chunk they cut short is not certified.
+    ``step_pair``: run a second simulation at dt/2, in two thirds of ``seconds``, and report the
+    difference of each density and moment. ``threads`` None: all cores. ``cluster``: the address of
+    a Dask scheduler; the answer depends on neither. ``checkpoint``: a folder where the state is
+    saved at intervals and from which a later run continues. ``partial``: Ctrl-C ends the sampling,
+    and the answer so far, not certified, is returned. ``allow_unstable``: accept a ``dt`` at or
+    above the stability limit; then nothing is certified. ::
 
         fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
 
@@ -52,11 +53,11 @@ class MonteCarlo(Settings, Method):
 
     @property
     def route(self) -> Route:
-        """The route that the method follows."""
+        """The registered route of method "montecarlo" and solver "simulation"."""
         return ROUTES["montecarlo", "simulation"]
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; ``NotApplicable``, with the reason, if not stationary."""
+        """Return the plan; raise ``NotApplicable`` if ``system`` has no stationary density."""
         require_stationary(system)
 
         def solve(observables: Sequence[Observable], progress: Progress, **beside: Any) -> Result:
@@ -68,43 +69,44 @@ class MonteCarlo(Settings, Method):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return first passage, with Brownian bridges or cubics between the steps."""
+        """Return first passage of ``asked.limit``: moments of its time, failure rate, P(T > t)."""
         from sim.questions.passage import sample_passage
 
         return sample_passage(self, asked)
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return densities at ``times`` from histograms of an ensemble."""
+        """Return densities of ``asked.observable`` at ``asked.times`` and points ``asked.at``."""
         from sim.questions.transient import sample_transient
 
         return sample_transient(self, asked)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return upcrossing rates, counted between the steps too."""
+        """Return the stationary upcrossings per unit time of the levels ``asked.at`` by one q."""
         from sim.questions.curves import sample_crossings
 
         return sample_crossings(self, asked)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
-        """Return power spectral densities by Welch's method; see ``sim.questions``."""
+        """Return the two-sided spectrum of one q at angular frequencies ``asked.at``, by Welch."""
         from sim.questions.curves import sample_spectrum
 
         return sample_spectrum(self, asked)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
-        """Return autocovariances from products of displacements at two times."""
+        """Return the autocovariances of one q at the lags ``asked.at``, means of q(s) q(s + t)."""
         from sim.questions.curves import sample_correlation
 
         return sample_correlation(self, asked)
 
     def refined(self) -> "MonteCarlo":
-        """Return the method with four times the sample, which halves the sampling error.
+        """Return a new method with four times the sample, which halves the sampling error.
 
-        The step is multiplied by 2**(−1/4), so that the bias of the default scheme halves, too.
+        ``tol`` is halved. The step that is chosen for the system, not a ``dt``, is multiplied by
+        2**(−1/4), so that the bias of the default scheme halves, too.
         """
         return replace(
             self,

@@ -23,23 +23,26 @@ from fpk.numeric.arrays import Array, Integers
 from fpk.system.system import System
 
 Product = tuple[str, int, str, int]
-"""Two factors whose product is summed, each a kind (q, p, force f, damping d) and a mass from 0."""
+"""A product of two observed numbers, (kind, mass, kind, mass), masses from 0. Kinds are "q", "p",
+"f", the force K q + g(q) of springs and contacts, and "d", the force of the damping terms."""
 LEAST_TIMES = 50.0
 """Least number of effective samples of a certified run (emcee's rule: 50 times 2τ)."""
 LEAST_BURN_IN = 5.0
 """Least burn-in in units of τ: e^−5 = 0.7 % of the deviation of the start remains."""
 CHUNKS = 20
-"""Chunks of the sampled time, whose means show a drift. If only the wall time is given, the first
-chunks are a 32nd as long; whenever there are twice as many, they are joined in pairs."""
+"""Number of chunks into which the sampled time is divided; their means show a drift. If the wall
+time is limited, the first chunks are a 32nd as long; whenever there are 2 ``CHUNKS``, they are
+joined in pairs."""
 FALSE_ALARMS = 1e-6
-"""Probability that a correct simulation fails a test: of one observable, or of the drift of all. A
-verification makes thousands of comparisons, and one false alarm ends it with an error."""
+"""Probability that a correct simulation fails one test: a comparison, or the test for a drift of
+all quantities. A verification makes thousands of comparisons, and one alarm is an error."""
 
 
 def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
-    """Return the products summed of ``n`` masses: of q, p, f = K q + g(q), d_i = Σ_j c̃_ij v_j.
+    """Return the products that a simulation of ``n`` masses sums, in the order of its sums.
 
-    ``terms``: whether there are damping terms c̃.
+    p_i p_j (i <= j), q_i p_j, and of each mass q f, p f, q q; with damping ``terms`` c̃ also p d
+    and q d. The forces are f = K q + g(q) and d_i = Σ_j c̃_ij v_j.
     """
     masses = range(n)
     products: list[Product] = [("p", i, "p", j) for i in masses for j in range(i, n)]
@@ -50,7 +53,7 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
 
 
 def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
-    """Return the mean (batches,) of each product, in either order of its factors.
+    """Return the means (batches,) by product; both orders of the two factors are keys.
 
     ``batch_means`` (batches, products) are in the order of ``moment_products``.
     """
@@ -64,8 +67,9 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
     The generator applied to H, q_i p_i and p_i² has mean zero:
     ``Σ_ij c_ij E v_i v_j = Σ_i N_ii/m_i``; ``m_i E v_i² = E q_i F_i + Σ_j c_ij E q_i v_j``;
-    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; N = f D fᵀ. Damping terms are part of c, inside the
-    means. Standard errors come from the spread of ``batch_means`` (batches, products).
+    ``E p_i F_i + Σ_j c_ij E p_i v_j = N_ii``; F = K q + g(q), N = f D fᵀ. Damping terms are part of
+    c, inside the means. Standard errors come from the spread of ``batch_means`` (batches,
+    products), in the order of ``moment_products``.
     """
     m, c, masses = system.mass, system.damping, range(system.n)
     mean = batch_moments(system, batch_means)
@@ -89,9 +93,10 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
 
 
 def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
-    """Return ∫|p_a − p_b| of two independent samples on the same bins.
+    """Return ∫|p_a − p_b| of two independent samples ``a``, ``b`` on the same bins.
 
-    Its error is the mean value for two samples of one density. Joined bins have less noise.
+    ``error`` is the mean of this distance by chance, for two samples of one density. To reduce the
+    noise bins are joined first, to about 128 on an axis, 64 for a pair of coordinates.
     """
     bins = 128 if len(a.edges) == 1 else 64
     a, b = (density.joined(min(density.values.shape) // bins) for density in (a, b))
@@ -104,10 +109,11 @@ def l1_difference(a: SampledDensity, b: SampledDensity) -> Number:
 class Diagnosis:
     """Tests of a sample; ``failures``: in words why it is not certified, else empty.
 
-    ``autocorrelation_time`` τ is the longest of all quantities, and ``slowest`` the name of this
-    quantity, which has ``effective_samples`` with a ``relative_error``. A trajectory is
-    ``times_per_path`` τ long. ``r_hat`` is the largest split R-hat, ``drift`` the largest |z| of
-    ``drifts``, and ``drift_limit`` its largest value by chance.
+    ``autocorrelation_time`` τ, in the system's unit of time, is the longest of all quantities, and
+    ``slowest`` the name of this quantity, which has ``effective_samples``, known to a
+    ``relative_error``. Each trajectory is sampled for ``times_per_path`` τ. ``r_hat`` is the
+    largest split R-hat, ``drift`` the largest |z| of ``drifts``, and ``drift_limit`` its largest
+    value by chance.
     """
 
     autocorrelation_time: float
@@ -122,9 +128,11 @@ class Diagnosis:
 
 
 def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> tuple[Array, Array]:
-    """Return the effective samples of quantities from path ``means`` (quantities, paths).
+    """Return the effective samples N σ²/var(means) of quantities, and their relative errors.
 
-    ``variance`` (quantities,) is σ², known to ``relative_error``; relative errors come second.
+    Both are (quantities,). ``means`` (quantities, N): averages over each of N trajectories;
+    ``variance`` (quantities,): σ² of single samples, known to ``relative_error`` (quantities,).
+    Effective samples are inf if all means of a quantity are equal.
     """
     of_means = means.var(axis=1, ddof=1)
     samples = np.full_like(of_means, inf)
@@ -133,7 +141,10 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return effective samples, and their relative error, by ``shares`` (batches, levels)."""
+    """Return the effective samples of one quantity, and their relative error.
+
+    ``shares`` (batches, levels): shares of samples below fixed levels. inf if they do not vary.
+    """
     # n samples have variances of sum Σ s(1 − s)/n. Levels are correlated: the error is for one.
     batches, s = shares.shape[0], shares.mean(axis=0)
     variance = float(np.sum(shares.var(axis=0, ddof=1))) / batches
@@ -142,7 +153,7 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
 
 
 def variance_error(samples: Array) -> Array:
-    """Return √((kurtosis − 1)/paths), the relative error of the variance of ``samples``."""
+    """Return √((kurtosis − 1)/N), relative error of the variance of ``samples`` (…, N), or 0."""
     away = samples - samples.mean(axis=-1, keepdims=True)
     size = np.max(np.abs(away), axis=-1, keepdims=True)
     # In units of the largest deviation, so that no fourth power overflows.
@@ -154,7 +165,7 @@ def variance_error(samples: Array) -> Array:
 
 
 def split_r_hat(draws: Array) -> float:
-    """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four draws.
+    """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four in a chain.
 
     Each chain is divided into halves of n draws: ``R = √((n − 1)/n + B/(n W))``, W the mean of the
     variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4).
@@ -171,9 +182,11 @@ def split_r_hat(draws: Array) -> float:
 
 
 def drifts(means: Array) -> Array:
-    """Return z (quantities, 2) of first chunk − others and of first half − second half.
+    """Return z = mean/(standard error) over batches of two differences, (quantities, 2).
 
-    ``means`` (quantities, batches, chunks).
+    They are the first chunk minus the mean of the others, and the first half of the chunks minus
+    the second half. ``means`` (quantities, batches, chunks), two chunks or more. z is 0 if a
+    difference does not vary.
     """
     half = means.shape[2] // 2
     first, others = means[:, :, 0], means[:, :, 1:].mean(axis=2)
@@ -185,7 +198,10 @@ def drifts(means: Array) -> Array:
 
 
 def octiles(below: Integers) -> Integers:
-    """Return the bins that contain the octiles; ``below`` (bins,): samples below a bin's end."""
+    """Return the ascending numbers of the bins that contain the seven octiles, without repeats.
+
+    ``below`` (bins,): samples below the upper end of each bin; a bin with all of them is left out.
+    """
     cuts = np.unique(np.searchsorted(8 * below, np.arange(1, 8) * int(below[-1])))
     # Without cuts below which all or no samples lie.
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
@@ -208,10 +224,10 @@ def diagnosis(
     paths: int,
     burn_in: float,
 ) -> Diagnosis:
-    """Return the diagnosis of ``paths`` trajectories of ``time`` each after ``burn_in``.
+    """Return the diagnosis of ``paths`` trajectories, each sampled for ``time`` after ``burn_in``.
 
-    ``effective``: name, effective samples and their relative error; ``means`` (quantities, batches,
-    chunks) have the ``names``.
+    ``effective``: name, effective samples of all trajectories and their relative error, for each
+    quantity; τ follows from the least. ``means`` (quantities, batches, chunks) have the ``names``.
     """
     slowest, samples, relative_error = min(effective, key=lambda e: e[1])
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
@@ -248,7 +264,8 @@ class Report:
     ``dt`` is the step of the integrator; ``paths`` were sampled for ``time`` after ``burn_in``, in
     ``steps`` of ``long_step``, every ``stride``-th of them observed. ``relaxation_time`` is the
     longest decay time without contact. ``small_steps``: words on which trajectories make small
-    steps; ``limited_by``: the setting that cut ``time`` short, else empty.
+    steps; ``limited_by``: the setting that cut ``time`` short, else empty. ``kT`` is the
+    ``temperature`` of the system; ``ns_per_particle_step`` is processor time in ns.
 
     ``diagnosis`` is None if Ctrl-C ended the sampling (words in ``interrupted``), or the limit of
     time in the first chunk. ``moments`` are means over the sampled states by name, such as ``q2²``,
@@ -281,7 +298,7 @@ class Report:
     step_biases: Mapping[str, Number] = field(default_factory=dict)
 
     def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
-        """Return all fields and the errors of ``densities``, by the names in tables and JSON."""
+        """Return report and L1 errors of ``densities`` in one dictionary, by names in tables."""
         of_run = takewhile(lambda f: f.name != "diagnosis", fields(self))
         settings = {f.name: own for f in of_run if (own := getattr(self, f.name)) != ""}
         if self.interrupted:

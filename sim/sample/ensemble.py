@@ -26,15 +26,15 @@ from sim.step.schemes import SCHEMES, Scheme
 from sim.step.step_size import largest_reached, loudest, stability_limit
 
 Reader = Callable[..., None]
-"""Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, many, rows,
-LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays`` have these blocks
-as their first axis and are changed in place. A module's function or a ``partial`` of it."""
+"""Called as ``read(trace, samples, done, *arrays)`` for some blocks: ``trace`` (blocks, samples + 1
+or more, rows, LANES) holds the observed states number ``done`` to ``done + samples``; ``arrays``
+have these blocks as first axis and are changed in place. A module's function or its ``partial``."""
 
 TASKS_PER_THREAD = 8
-"""Tasks of a thread in one call of ``advance``: few tasks cost little to distribute, and of many
-the last one leaves the other threads idle for a short time only."""
+"""Tasks of a thread in one call of ``advance``: so few cost little to distribute, and so many leave
+other threads idle only for a short time at the end."""
 TRACED = 1024
-"""Observed states of blocks, of a task, in one trace: some MB."""
+"""Largest number of observed samples times blocks of a task in one trace: some MB."""
 
 
 def advance_batches(
@@ -44,10 +44,11 @@ def advance_batches(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Advance the batches from block ``first`` on, and return the ``arrays``, changed in place.
 
-    ``arrays``: states, sums, counts and last sample of these blocks, then those that ``read`` is
-    called with. ``live`` (blocks,): trajectories of a block; ``batch`` (blocks,): its batch.
-    ``word``: first random word; ``samples``, ``phase``: samples and steps before these ``steps``,
-    of which every ``stride``-th is observed.
+    ``arrays``: states, sums, counts and last sample of these blocks, then the arrays of ``read``.
+    ``live`` (blocks,): trajectories of a block; ``batch`` (blocks,): number of its batch. ``key``,
+    ``step``, ``watch``: for the kernel; ``offset``: of the seed; ``word``: first random word of a
+    trajectory. ``samples``, ``phase``: samples and steps since ``Ensemble.watch``, before these
+    ``steps``, of which every ``stride``-th is observed, none if 0.
     """
     states, sums, counts, last, *own = arrays
     blocks, rows, strength = len(states), watch.traced.size, step.strength
@@ -203,7 +204,10 @@ class Ensemble:
     def _advance(
         self, steps: int, stride: int, read: Reader | None, arrays: Sequence[NDArray[Any]]
     ) -> None:
-        """Advance by ``steps``, observed every ``stride``, in tasks of whole batches."""
+        """Advance states, sums, counts and last sample in place, but not the numbers of steps.
+
+        Every ``stride``-th step is observed; ``read`` is called with the samples and ``arrays``.
+        """
         step, dt = self.step, self.step.dt
         if self.modulation is not None:
             times = self.begin + dt * np.arange(self.done, self.done + steps, dtype=float)
@@ -234,9 +238,10 @@ class Ensemble:
         return replace(self, start=(q, p), dt=dt, word=self.next_word, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Continue with the trajectories ``lanes`` alone, numbered along the blocks; sums are 0.
+        """Continue with the trajectories ``lanes`` alone, numbered along the blocks.
 
-        A number may occur twice: random numbers belong to the place, so that copies separate.
+        Sums and counts begin at 0. A number may occur twice: random numbers belong to the place, so
+        that copies separate. Copies of the first trajectory fill up the last block, and count.
         """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES
@@ -244,7 +249,7 @@ class Ensemble:
         self.counts = np.zeros((self.edges.size - 1, self.counts.shape[1]), dtype=np.int64)
 
     def batch_paths(self) -> Integers:
-        """Return the number of trajectories of each batch."""
+        """Return the number (batches,) of trajectories of each batch."""
         return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
@@ -260,13 +265,13 @@ class Ensemble:
         return zip(self.histograms, counts, strict=False)  # no histograms: one empty part
 
     def phase_points(self, most: int | None = None) -> tuple[Array, Array]:
-        """Return q and p (paths, n) just before the next kick, at ``most`` so many paths."""
+        """Return q and p (paths, n) just before the next kick, of the first ``most`` paths."""
         n, paths = self.system.n, self.paths if most is None else min(self.paths, most)
         lanes = self.states[: -(-paths // LANES)].transpose(1, 0, 2).reshape(2 * n, -1)
         return lanes[:n, :paths].T, lanes[n:, :paths].T
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return the state of the simulation for ``restore``, as arrays by name."""
+        """Return states, sums, counts and clock for ``restore``, as arrays by name, not copied."""
         clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
         return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
 

@@ -18,9 +18,9 @@ from fpk.system.system import System, effects_of
 from sim.step.step_size import temperature
 
 BINS = (1024, 128)
-"""Number of bins on each axis of a histogram of one coordinate, of two coordinates."""
+"""Number of bins on the axis of a histogram of one coordinate; on each axis of two."""
 MARGIN = 0.3
-"""Margin of a histogram beyond the extremes of the pilot, in units of its range."""
+"""Margin of a histogram beyond each extreme of the pilot states, in units of their range."""
 DEEPEST = 30.0
 """Contact energy in units of kT at the end of the bins beyond a stop; p has fallen by e^−30."""
 LOWEST, SHARE = 400, 0.35
@@ -56,6 +56,7 @@ class Histogram:
     def counted(self, columns: Sequence[Array], groups: int = 1) -> Integers:
         """Return the counts (``groups``, bins + 1) of samples, the last bin for samples outside.
 
+        Bins of two coordinates are in C order; the upper end of an axis, and NaN, are outside.
         ``columns``: the values (samples,) of each coordinate; sample k belongs to group k % groups.
         """
         bins, inside = np.array(0), np.array(True)
@@ -73,9 +74,9 @@ def bin_axis(
 ) -> BinAxis:  # fmt: skip
     """Return about ``bins`` bins from ``low`` to ``high``, equally many between any two ``kinks``.
 
-    ``widening``: above a kink bins widen with the distance from it, as p may have a root there:
-    (H − H_c)^(1/2) where contact begins, H^(−1/4) for a stop without clearance, H^(−1/2) after a
-    start at rest. The fit of p to the bins then takes the root into account.
+    Kinks outside [``low``, ``high``) are ignored. ``widening``: above a kink bins widen as in
+    ``BinAxis``, since p may have a root there: (H − H_c)^(1/2) if contact begins, H^(−1/4) for a
+    stop without clearance, H^(−1/2) after a start at rest. ``reference``: ln r of ``BinAxis``.
     """
     inside = list[float]()
     for kink in sorted(k for k in kinks if low <= k < high):
@@ -94,8 +95,9 @@ def bin_axis(
 def kinks_of(system: System, coordinate: Coordinate) -> list[float]:
     """Return, ascending, the values of ``coordinate`` at which its density may have a kink.
 
-    For q_i: the stops of mass i; for H: the least energy to touch each stop, ½ δ²/C_ii plus the
-    contact energy of nearer stops, C the compliance; for H_m: by mode m alone, ½ (ω_m δ/T_im)².
+    For q_i the stops of mass i; for p_i none; for H the least energy to touch each stop, ½ δ²/C_ii
+    plus the contact energy of nearer stops, C the compliance; for H_m ½ (ω_m δ/T_im)², the energy
+    if mode m alone moves.
     """
     at = [(stop.index, stop.sign * stop.clearance) for stop in system.stops]
     kinks: list[float] = []
@@ -114,11 +116,11 @@ def axis_of(
     system: System, coordinate: Coordinate, low: float, high: float, bins: int,
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
-    """Return about ``bins`` bins of ``coordinate`` from ``low`` to ``high``, with a margin.
+    """Return about ``bins`` bins of ``coordinate`` that cover ``low`` to ``high`` with a margin.
 
-    Bins of energies start at 0; ``rises``: the density may rise towards 0. Beyond the outermost
-    stop within the range bins of q end at a contact energy of ``DEEPEST`` kT, or at ``high`` plus
-    the margin if that is more.
+    Bins of energies start at 0; ``rises``: the density may rise towards 0. Bins of q and p are
+    symmetric about 0 if the system has mirror symmetry. Beyond the outermost stop within the range
+    bins of q end at a contact energy of ``DEEPEST`` kT, or later if the range itself is so deep.
     """
     energy, reach, wide = coordinate.kind == "H", MARGIN * (high - low), 1.0 + 2.0 * MARGIN
     mirror = effects_of(system).mirror and not energy
@@ -132,7 +134,7 @@ def axis_of(
         low, high = low - reach, high + reach
 
     def end(side: float, x: float) -> float:
-        """Return the end of the bins of side·q; ``x`` is the end by the margin ``reach`` alone."""
+        """Return the end of the bins of ``side`` · q, at most ``x``, the end with a full margin."""
         own = (s for s in system.stops if (s.index, s.sign) == (coordinate.row, side))
         stop = max((s for s in own if s.clearance < x), key=lambda s: s.clearance, default=None)
         if stop is None:
@@ -151,7 +153,7 @@ def axis_of(
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
-    """Return the extremes (coordinates, 2) of each coordinate; states ``q``, ``p`` (samples, n)."""
+    """Return least and largest values (coordinates, 2) in the states ``q``, ``p`` (samples, n)."""
     # The rounding of sums over masses depends on the layout in memory.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
     values = [values_of(system, c, q, p) for observable in observables for c in observable]
@@ -159,7 +161,7 @@ def extremes(system: System, observables: Sequence[Observable], q: Array, p: Arr
 
 
 def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Array:
-    """Return ``coordinate`` of the states ``q``, ``p`` (samples, n); H_m without contact energy."""
+    """Return ``coordinate`` (samples,) at ``q``, ``p`` (samples, n); H_m lacks contact energy."""
     if coordinate.kind != "H":
         return (q if coordinate.kind == "q" else p)[:, coordinate.index]
     if coordinate.index is None:
@@ -168,7 +170,7 @@ def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Arr
 
 
 def rises(energies: Array) -> bool:
-    """Return whether the density of ``energies`` (samples,) rises towards 0 on any scale."""
+    """Return whether the lowest of ``energies`` (samples,) crowd towards 0: see ``SHARE``."""
     x, count = np.sort(energies), LOWEST
     while 4 * count <= x.size:
         if np.count_nonzero(x < 0.25 * x[count]) > SHARE * count:
@@ -182,7 +184,8 @@ def covering(
 ) -> tuple[Histogram, ...]:
     """Return histograms of ``observables`` over the ranges ``reached`` (coordinates, 2).
 
-    ``axis(coordinate, low, high, bins)`` makes the bins, as ``axis_of`` does for a system.
+    ``axis(coordinate, low, high, bins)`` makes the bins, as ``axis_of`` does for a system. A range
+    with NaN becomes −1 to 1.
     """
     # NaN: −1 to 1.
     ends = iter(np.where(reached[:, :1] <= reached[:, 1:], reached, (-1.0, 1.0)).tolist())
@@ -192,24 +195,25 @@ def covering(
 
 
 def starts(histograms: Sequence[Histogram]) -> Integers:
-    """Return the index of the first counter of each histogram, and the number of counters.
+    """Return the index of the first counter of each histogram, then the number of all counters.
 
-    A histogram has one counter more than bins, for samples outside.
+    A histogram has one counter more than bins, for samples outside. Shape (histograms + 1,).
     """
     return np.cumsum([0] + [h.size + 1 for h in histograms], dtype=np.int64)
 
 
 def add_mirror_images(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus the counts of the mirror images (−q, −p)."""
+    """Return ``counts`` (batches, bins + 1) plus mirror images (−q, −p); the last doubled."""
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
 
 
 def log_reference(system: System, coordinate: Coordinate, x: Array, bins: Integers) -> Array:
-    """Return an approximation of ln p(``x``), without its constant, in the bins number ``bins``.
+    """Return an approximation of ln p at each ``x``, without its constant; a ``LogReference``.
 
-    −U_i/kT for q_i, Eq. (7); (n − 1) ln H for H; else 0.
+    −U_i/kT for q_i, Eq. (7), U_i the contact energy; (n − 1) ln H for H; else 0. ``bins``, the
+    numbers of their bins, are not used.
     """
     if coordinate.kind == "H" and coordinate.index is None:
         return log_states(system.n, x, bins)
@@ -219,7 +223,7 @@ def log_reference(system: System, coordinate: Coordinate, x: Array, bins: Intege
 
 
 def log_states(n: int, energy: Array, bins: Integers) -> Array:
-    """Return ln H^(n−1) at each ``energy``, the density of states of ``n`` masses near H = 0.
+    """Return ln H^(n−1) at each ``energy`` H: ln of the density of states of ``n`` masses near 0.
 
     ``bins``, the numbers of their bins, are not used.
     """
@@ -241,7 +245,8 @@ def density_of_counts(
 
     With ``mirror`` the mirror image of each sample is counted, too. ``residual`` is the largest |z|
     of the moment identities, ``tol`` the tolerance of the expected L1 sampling error. ``failures``
-    are words against the sample; with ``everywhere`` bins that do not resolve p are added to them.
+    are words against the sample; wrong totals and too many samples outside are added to them, and
+    with ``everywhere`` bins that do not resolve p.
     """
     total = counts.sum(axis=0)
     tail, words = float(total[-1]) / max(1, taken), list(failures)
@@ -281,7 +286,7 @@ def density_of_counts(
 
 
 def words_on_resolution(density: SampledDensity) -> list[str]:
-    """Return, in words, the first place where bins do not resolve ``density``; else nothing."""
+    """Return one sentence, on the first range where bins do not resolve ``density``, or none."""
     for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)

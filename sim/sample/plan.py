@@ -37,27 +37,27 @@ from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, pad
 from sim.step.step_size import relaxation_time, sampling_interval, stability_limit, temperature
 
 LARGEST_NORMAL = sqrt(2.0 * 32.0 * log(2.0)) * (1.0 + 3e-6)
-"""Largest radius of a pair of normals, whose uniform number is 2**-32 or more; with rounding."""
+"""Largest radius √(z₁² + z₂²) of a pair of normals from a uniform number >= 2**-32, rounded up."""
 SMALL_STEPS = (4, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-"""Possible numbers of small steps in a long step; few, so that round-off does not decide."""
+"""Numbers of small steps in a long step to choose from; few, so that round-off does not decide."""
 LONG_COST, SMALL_COST, WORTH = 2.3, 1.2, 0.8
-"""Processor time of a long step, and of a small step in a group, in units of a step of a whole
-block (measured by ``benchmarks/montecarlo.py``); long steps are made if the cost is below WORTH."""
+"""Processor time of a long step, and of a small step of a block in groups, in units of a step of a
+block (by ``benchmarks/montecarlo.py``); long steps are made if ``relative_cost`` <= WORTH."""
 
 
 def noise_reach(system: System, H: float, masses: Integers) -> Array:
-    """Return a, the largest displacement of each of ``masses`` by the noise of one step ``H``."""
+    """Return the largest displacements of ``masses`` (masses,) by the noise of one step ``H``."""
     rows = lower_trapezoidal(exact_flow(system, H).factor)[masses]
     rows = np.pad(rows, ((0, 0), (0, rows.shape[1] % 2)))
     return np.asarray(LARGEST_NORMAL * np.hypot(rows[:, ::2], rows[:, 1::2]).sum(axis=1))
 
 
 def bends(system: System, H: float, masses: Integers) -> Array:
-    """Return rows (masses, 2n) whose product with ``|x|`` is b(x).
+    """Return rows (masses, 2n) whose product with |x|, x = (q, p) at the start of a step, is b(x).
 
-    b(x) bounds the distance of the mean motion q(t) of ``masses`` within a step ``H`` from its
-    chord. The curvature is bounded by its largest value on a grid of times, plus half an interval
-    times the largest slope.
+    b(x) bounds how far, within a step ``H`` without contacts, the mean motion q(t) of ``masses``
+    (numbers from 0) leaves the straight line between its ends. The curvature is bounded by its
+    largest value on a grid of times, plus half an interval times the largest slope.
     """
     drift, step = drift_matrix(system), H / 64
     across, values = expm(drift * step), [drift[system.n + masses] / system.mass[masses, None]]
@@ -68,9 +68,10 @@ def bends(system: System, H: float, masses: Integers) -> Array:
 
 
 def relative_cost(system: System, dt: float, small: int) -> float:
-    """Return the estimated processor time with long steps, relative to uniform steps ``dt``.
+    """Return the estimated processor time with long steps over the time with steps ``dt`` only.
 
-    A long step has ``small`` steps; displacements have the Gibbs density at kT.
+    A long step is ``small`` · ``dt`` long (1: the result is 1). The share of trajectories that make
+    small steps is computed for displacements with the Gibbs density at kT.
     """
     if small == 1:
         return 1.0
@@ -92,9 +93,10 @@ def relative_cost(system: System, dt: float, small: int) -> float:
 
 
 def with_long_steps(system: System, scheme: Scheme, dt: float) -> tuple[Scheme, float, str]:
-    """Return the scheme, the length of its long steps of small steps ``dt``, and words on it.
+    """Return ``scheme`` with the cheapest ``small``, its long step ``small`` · ``dt``, and words.
 
-    A long step is no longer than the sampling interval, and only the exact flow can make it.
+    Scheme and ``dt`` are returned unchanged if long steps are impossible or cost too much; the
+    words say why. A long step is at most the sampling interval; only the exact flow can make it.
     """
     if not system.stops:
         return scheme, dt, "no contact: all trajectories make the same steps"
@@ -148,15 +150,16 @@ class Setup:
         return ceil(self.method.burn_in * relaxation_time(self.system) / self.dt)
 
     def checkpoint(self) -> Checkpoint:
-        """Return the checkpoint in the folder of the method; the limit of time may differ."""
+        """Return the checkpoint in the method's folder, the same for all finite ``seconds``."""
         limited = self.seconds < inf
         return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
 
 
 def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:
-    """Return the setup of ``method`` for ``system`` and ``observables``.
+    """Return the setup of ``method`` for ``system`` and ``observables``, with steps and times.
 
-    Raises ``InvalidInput`` for an unstable step, or for steps so short that random numbers run out.
+    Raises ``InvalidInput`` for an unstable step without ``allow_unstable``, and for a step so short
+    that random numbers run out.
     """
     scheme, failures = SCHEMES[method.scheme], list[str]()
     dt = method.dt or method.step_factor * default_step(method, system, observables)
@@ -185,7 +188,10 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
 
 
 def step_arrays(system: System, scheme: Scheme, dt: float, *, halved: bool = False) -> StepArrays:
-    """Return the numbers of a step of ``dt``; ``halved``: with two linear maps, each over dt/2."""
+    """Return the numbers of a step ``dt``, a long step if ``scheme.small`` > 1.
+
+    ``halved``: the step has two linear maps, each over dt/2 with its own normals.
+    """
     n, small, H = system.n, scheme.small, dt
     dt = H / small
     linear = scheme.linear_map(system, 0.5 * dt if halved else dt)
@@ -255,9 +261,10 @@ def observation_arrays(
     products: Sequence[Product],
     traced: Sequence[Coordinate] = (),
 ) -> tuple[KernelKey, WatchArrays]:
-    """Return the key of the kernel, and the numbers that it reads to observe.
+    """Return the key of the kernel for a motion by ``step``, and the numbers that it observes by.
 
-    ``products`` are summed; ``traced`` coordinates are copied to the trace.
+    Observed states are counted in ``histograms``; ``products`` are summed; ``traced`` coordinates
+    are copied to the trace in this order.
     """
     n, slots, effects = system.n, step.slot_mass, effects_of(system)
     observed = {c for histogram in histograms for c in histogram.observable} | {*traced}

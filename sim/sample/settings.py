@@ -27,12 +27,12 @@ from sim.step.step_size import (
 )
 
 LEAST_PATHS = 32 * LANES
-"""Least number of paths: 32 independent batches, from whose spread standard errors are computed."""
+"""Least number of trajectories: 32 batches of ``LANES``, whose spread gives standard errors."""
 ANYWHERE = {
     "MonteCarlo.threads": "random numbers belong to a path, whichever thread makes its steps",
     "MonteCarlo.cluster": "random numbers belong to a path, whichever machine makes its steps",
 }
-"""Fields on which no number of a simulation of a given length depends, and why."""
+"""Fields on which no number of a simulation of a given length depends: "Class.field" to reason."""
 NOT_IN_STATE = {
     **ANYWHERE,
     "MonteCarlo.checkpoint": "the folder of the state",
@@ -48,14 +48,15 @@ NOT_IN_STATE = {
     "Splitting.tol": "decides how many repetitions are made",
     "Splitting.seconds": "decides how many repetitions are made",
 }
-"""Fields on which the saved state of a simulation does not depend, and why."""
+"""Fields on which the saved state of a simulation does not depend: "Class.field" to reason."""
 
 
 def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, int]) -> None:
-    """Raise ``InvalidInput`` if a field of ``own`` cannot be used.
+    """Raise ``InvalidInput`` naming the first field of the settings ``own`` that cannot be used.
 
-    Fields in ``positive`` must be finite and > 0; ``ranges`` are (name, least, most). The fields
-    ``seed`` and ``threads`` are checked, too. None is allowed.
+    The fields named in ``positive`` must be finite and > 0; ``ranges`` are (name, least, most),
+    both values included. ``seed`` must be in 0 … 2**64 − 1, ``threads`` from 1 to four times the
+    number of processors. None is allowed in every field.
     """
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
@@ -70,7 +71,7 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
 
 @dataclass(frozen=True)
 class Settings:
-    """The fields of ``sim.MonteCarlo``, which describes them; every question takes them."""
+    """Settings of a simulation of Eq. (6); ``sim.MonteCarlo`` explains each field."""
 
     paths: int = 8192
     time: float | None = None
@@ -92,7 +93,7 @@ class Settings:
     allow_unstable: bool = False
 
     def __post_init__(self) -> None:
-        """Check every field."""
+        """Raise ``InvalidInput`` naming the first field that cannot be used."""
         if self.scheme not in SCHEMES:
             raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
         times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
@@ -100,7 +101,7 @@ class Settings:
         check_settings(self, (*times, "tol", "most_steps"), paths)
 
     def sampled_time(self, system: System, step: float) -> float:
-        """Return the time to sample; without ``time`` the cost is limited, by the mean ``step``."""
+        """Return ``time``, or ``relaxations`` relaxation times up to ``most_steps`` · ``step``."""
         return self.time or min(self.relaxations * relaxation_time(system), self.most_steps * step)
 
 
@@ -115,11 +116,11 @@ def require_stationary(system: System) -> None:
 
 
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
-    """Return the step whose bias is below the sampling error that the run will reach.
+    """Return the step whose bias is a third of the sampling error that the run will reach.
 
     This error follows from ``tol``, from the samples in ``seconds`` of wall time on ``threads``
     (with a checkpoint, which may be continued elsewhere, in an hour on one thread), or from the
-    sampled time. ``observables`` are the densities whose bias counts.
+    sampled time. ``observables``: see ``step_for``. ``dt`` and ``step_factor`` are ignored.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)
@@ -136,8 +137,9 @@ def default_step(method: Settings, system: System, observables: Sequence[Observa
 
 
 def estimate_seconds(method: Settings, system: System) -> float:
-    """Return the wall time of a run in s, to a factor of three, without compilation.
+    """Return the wall time of burn-in and sampling in s, to a factor of three.
 
+    Compilation is not included, and the limits ``seconds`` and ``longest`` do not shorten it.
     Raises ``NotApplicable`` if ``system`` has no stationary density.
     """
     require_stationary(system)

@@ -80,7 +80,7 @@ class Record:
         return [name for name, _, _ in self.squares] + [self.axes[axis] for axis, _ in self.cuts]
 
     def snapshot(self, stride: int) -> None:
-        """Advance by one step, observed by ``stride``; record the variances over trajectories."""
+        """Advance by a step that ``stride`` observes; append σ² over paths to ``variances``."""
         before = self.ensemble.sums.copy()
         self.ensemble.advance(1, stride=stride)
         samples = self._of_paths(self.ensemble.sums - before)
@@ -88,7 +88,7 @@ class Record:
         self.variances.append(np.array(spread))
 
     def chunk_ends(self) -> None:
-        """Record the sums and counts of the ensemble at the end of a chunk."""
+        """Append the ensemble's sums and counts to ``ends``; choose ``cuts`` at the first call."""
         ensemble, below, folds = self.ensemble, list[Integers](), iter(self.folds)
         for histogram, counts in ensemble.counted():
             own = counts[:, :-1].reshape(-1, *histogram.shape)
@@ -112,7 +112,7 @@ class Record:
         return np.ascontiguousarray(ends.transpose(2, 1, 0) / self.chunk_samples)
 
     def effective(self) -> list[tuple[str, float, float]]:
-        """Return name, effective samples and relative error of each; squares come first."""
+        """Return name, effective samples and their relative error of squares, then coordinates."""
         variance, error = np.mean(self.variances, axis=0)
         error = error / np.sqrt(len(self.variances))
         means = self._of_paths(self.ensemble.sums) / self.ensemble.samples
@@ -146,7 +146,7 @@ class Record:
             setattr(self, f.name, type(getattr(self, f.name))(saved[f"record_{f.name}"]))
 
     def _of_paths(self, sums: Array) -> Array:
-        """Return sums of squares (squares, paths) from ``sums`` (blocks, products, LANES)."""
+        """Return sums of q² and v² (squares, paths) from ``sums`` (blocks, products, LANES)."""
         rows = np.stack([f * sums[:, k] for _, k, f in self.squares])
         return np.asarray(rows[:, np.arange(LANES) < self.ensemble.live[:, None]])
 
@@ -158,7 +158,7 @@ def sample_stationary(
     progress: Progress,
     beside: Sequence[Observable] = (),
 ) -> Result:
-    """Return the densities of ``observables``, and of ``beside``, with their report.
+    """Return the result with densities of ``observables``, and of ``beside``, and the report.
 
     With ``step_pair`` they are compared with a second run at half the step, unless either run was
     interrupted or completed no chunk within its time.
@@ -196,7 +196,11 @@ def sample_stationary(
 
 
 def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) -> Result:
-    """Sample the stationary state of Eq. (6), continuing from the checkpoint of this ``setup``."""
+    """Return the result of sampling the stationary state of Eq. (6) by ``setup``.
+
+    It continues from the checkpoint of this ``setup``, if there is one. ``workers`` None: one
+    thread of this process.
+    """
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
     products = diagnostics.moment_products(setup.system.n, terms=bool(setup.system.damping_terms))
     covered = partial(covering, setup.observables, axis=partial(axis_of, setup.system))
@@ -249,9 +253,9 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
 
 
 def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Progress) -> None:
-    """Advance until the time or error of ``setup`` is reached, or ``checkpoint`` stops.
+    """Advance the ensemble of ``record`` until the time or error of ``setup`` is reached.
 
-    Whole chunks are added to ``record``.
+    A stop of ``checkpoint`` ends it earlier. Whole chunks are added to ``record``.
     """
     ensemble, stride, limited = record.ensemble, setup.stride, setup.seconds < inf
     begin = working_time() - record.elapsed
@@ -291,10 +295,10 @@ def _sample(setup: Setup, record: Record, checkpoint: Checkpoint, progress: Prog
 
 
 def _result(setup: Setup, record: Record, partial: bool, cut: str) -> Result:
-    """Return the certified densities, the moment identities and the report.
+    """Return the result from ``record``: densities, moment identities and the report.
 
-    ``cut``: words on where the burn-in ended early, else empty; ``partial``: Ctrl-C was pressed. If
-    the system has mirror symmetry, mirror images of samples count as samples.
+    ``cut``: words on where the burn-in ended early, else empty; ``partial``: Ctrl-C was pressed.
+    If the system has mirror symmetry, mirror images of samples count as samples.
     """
     ensemble, kT, failures = record.ensemble, temperature(setup.system), list[str]()
     paths, threads, samples = ensemble.paths, ensemble.threads, ensemble.samples

@@ -31,11 +31,10 @@ from fpk.numeric.machine import lock_file, working_time
 from fpk.numeric.recognition import fingerprint
 
 INTERVAL = 2.0
-"""Seconds between two saved states. An ensemble is advanced in pieces of a quarter of it, after
-which Ctrl-C is looked at; on a cluster, where its arrays travel with each piece, of twice as
-long."""
+"""Seconds between two saved states. An ensemble is advanced in pieces of a quarter of this time,
+on a cluster, where arrays travel with each piece, of twice this time; Ctrl-C ends it after one."""
 SCHEDULER_TIMEOUT = 10.0
-"""Seconds in which the scheduler must answer; in six times as many it must have a worker."""
+"""Seconds in which a Dask scheduler must answer; in six times as many it must have a worker."""
 
 
 def program_checksum(root: Path = ROOT) -> int:
@@ -54,9 +53,10 @@ class Workers:
     remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster, raised as ``NotCertified``
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
-        """Return the results of ``task`` for each row of ``columns``.
+        """Return the results of ``task(*row)`` for each row of ``columns``, in their order.
 
-        The task may change its arguments in place; on a cluster it gets copies.
+        The task may change its arguments in place; on a cluster it gets copies. Raises
+        ``NotCertified`` if the cluster is lost, as ``as_finished`` does.
         """
         own = deepcopy if self.remote_errors else tuple  # arguments from Dask are read-only
         rows = list(zip(*columns, strict=True))
@@ -149,7 +149,10 @@ class Checkpoint:
             yield
 
     def save(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Replace the file by ``state`` and the notes; on failure it stays, ``Unavailable``."""
+        """Replace the file by ``state`` and ``notes``; without a path do nothing.
+
+        Raises ``Unavailable`` if it cannot be written; the old file then stays.
+        """
         if self.path is None:
             return
         part, stream = self.path.with_name(f"{self.path.name}.{token_hex(4)}.part"), BytesIO()
@@ -170,7 +173,7 @@ class Checkpoint:
         self._saved = working_time()
 
     def load(self) -> dict[str, NDArray[Any]]:
-        """Return the saved arrays, none without a file.
+        """Return the saved arrays by name, notes included; an empty dictionary without a file.
 
         Raises ``Unavailable`` if the file is damaged or belongs to another simulation.
         """
@@ -190,10 +193,10 @@ class Checkpoint:
         return arrays
 
     def advance(self, ensemble: Any, steps: int, *, stride: int = 1, saving: bool = True) -> bool:
-        """Advance ``ensemble`` by ``steps``, observed every ``stride``, unless stopped before.
+        """Advance ``ensemble`` by ``steps``, observed every ``stride``, in pieces.
 
-        Return whether it was stopped, which is after one piece or more. The state is saved if
-        ``saving``.
+        Ctrl-C or the deadline ends it after a piece; return True if Ctrl-C was pressed, which sets
+        ``interrupted``, or if steps are missing. The state is saved at intervals if ``saving``.
         """
         ended = False
         while steps > 0 and not ended:
@@ -215,7 +218,11 @@ class Checkpoint:
 def checkpoint_of(
     folder: Path | None, settings: Any, name: str = "montecarlo", *, less: Container[str] = ()
 ) -> Checkpoint:
-    """Return the checkpoint in ``folder`` of ``settings``, except for the fields in ``less``."""
+    """Return the checkpoint of a simulation with ``settings``; without a ``folder`` none is saved.
+
+    Settings that differ only in the fields ``less`` ("Class.field") share a file, whose name begins
+    with ``name``.
+    """
     if folder is None:
         return Checkpoint()
     identity = fingerprint([program_checksum(), settings], less)
@@ -224,9 +231,9 @@ def checkpoint_of(
 
 @contextmanager
 def interruptible(partial: bool) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
+    """Yield a function that returns whether Ctrl-C was pressed; a second raises KeyboardInterrupt.
 
-    Unless an answer may be ``partial``, and during compilation, the first Ctrl-C interrupts, too.
+    Unless an answer may be ``partial``, and during compilation, the first Ctrl-C raises it, too.
     Only the main thread receives signals: in other threads the function returns False.
     """
     pressed = threading.Event()
