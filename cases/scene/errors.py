@@ -20,13 +20,17 @@ class BadInput(ValueError):
     """Input that cannot be used; the message is one line that says how to correct it."""
 
     def __init__(self, message: str) -> None:
-        """Bring ``message`` to one line of bounded length."""
+        """Store ``one_line(message)`` as the message."""
         super().__init__(one_line(message))
 
 
 @contextmanager
 def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
-    """Return a context in which an error of the system becomes ``BadInput`` with ``words``."""
+    """Turn an ``OSError`` of the block into ``BadInput``: "label: words: reason; remedy".
+
+    ``label`` names the file, ``words`` say which step failed; the reason is the system's. A
+    ``ValueError`` becomes ``BadInput`` only if ``label`` contains a NUL, else it is not changed.
+    """
     try:
         yield
     except (OSError, ValueError) as error:
@@ -38,7 +42,7 @@ def readable_errors(label: object, words: str, remedy: str) -> Iterator[None]:
 
 @contextmanager
 def about_key(key: str, value: object) -> Iterator[None]:
-    """Return a context in which ``InvalidInput`` is about ``key`` and its ``value``."""
+    """Re-raise an ``InvalidInput`` of the block with this ``key`` and ``value`` and its remedy."""
     try:
         yield
     except InvalidInput as error:
@@ -49,8 +53,8 @@ def misspelt(word: str, known: Iterable[str]) -> str | None:
     """Return the first of ``known`` of which ``word`` is a misspelling, None if there is none.
 
     A misspelling of a word of at least three letters leaves out, adds or replaces one letter or
-    swaps two neighbours, as four of five do (Damerau 1964). Capitals and leading dashes are
-    ignored. A common beginning alone is no misspelling.
+    swaps two neighbours, as four of five do (Damerau 1964), or is the word itself. Capitals and
+    leading dashes are ignored. A common beginning alone is no misspelling.
     """
     for name in known:
         a, b = (text.casefold().lstrip("-") for text in (word, name))
@@ -87,7 +91,10 @@ def toml_value(value: Any) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return ``text`` without its middle where it is long, and with hidden characters spelt out."""
+    """Return ``text`` with line breaks and other unprintable characters as Python's escapes.
+
+    Beyond ``LONGEST`` characters an ellipsis replaces the middle.
+    """
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     half = (LONGEST - 1) // 2
     return line if len(line) <= LONGEST else f"{line[:half]}…{line[-half:]}"

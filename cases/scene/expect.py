@@ -16,14 +16,17 @@ RELATIONS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "at_least": ("≥", ge),
     "at_most": ("≤", le),
 }
-"""Relations by which a claim gives a range of the varied number, with their signs."""
+"""Key of a relation in a scene: its sign, and the test of (number, limit)."""
 
 Range = tuple[str, float]
-"""Values of a number: the key of their relation in ``RELATIONS``, and the limit they relate to."""
+"""Range of a number: a key of ``RELATIONS`` and the limit, as ("at_most", 0.1): x <= 0.1."""
 
 
 def range_of(key: str, given: Mapping[str, float]) -> Range:
-    """Return the one range in ``given``; raise ``InvalidInput`` for ``key`` if not exactly one."""
+    """Return the only item (relation, limit) of ``given``.
+
+    Raises ``InvalidInput`` about ``key`` if there is none, or if there are several.
+    """
     if len(given) != 1:
         raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
     return next(iter(given.items()))
@@ -33,10 +36,12 @@ def range_of(key: str, given: Mapping[str, float]) -> Range:
 class Expect:
     """The claims of one figure; None for a claim that the source does not make.
 
-    ``of``: the density of the claims. ``better``: the first theory is nearer to the full system
-    than the second. ``acceptable``: theories whose L1 distance to the full system is small.
-    ``clearance_rule``: the integrable theory is acceptable if every clearance exceeds this many
-    rms displacements; if not, the converse is tested.
+    ``of``: the density of the claims. ``non_gaussian``, ``almost_gaussian``: range of the varied
+    number on whose curves it is so. ``nonintegrable_better_with``: along the varied number in this
+    direction the L1 distance of that theory to the full system falls. ``better``: the first theory
+    is nearer to the full system than the second. ``acceptable``: theories whose L1 distance to the
+    full system is below 0.1. ``clearance_rule``: the integrable theory is acceptable if every
+    clearance exceeds this many rms displacements; if not, the converse is tested.
     """
 
     of: Observable
@@ -51,9 +56,11 @@ class Expect:
 def expect_of(
     table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
 ) -> Expect | None:
-    """Return the claims of the table about a figure with this number of ``curves``.
+    """Return the claims of the [expect] ``table`` of a scene with so many ``curves``, if any.
 
-    Raises ``InvalidInput`` for a claim that the scene cannot test.
+    Without "of" they are about the first of the observed ``observables``. Raises ``InvalidInput``
+    if "of" is not observed, for a Gaussian claim on a pair, and for a claim that compares curves of
+    a scene with a single curve.
     """
     if table is None:
         return None

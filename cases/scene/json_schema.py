@@ -7,7 +7,7 @@ from cases.scene.schema import SCENE
 from fpk.system.contact_law import LAWS
 
 FILE = "scene.schema.json"
-"""Name of the file beside a scene that an editor reads."""
+"""Name of the JSON Schema beside a scene, by which an editor checks and completes its keys."""
 DIRECTIVE = f"#:schema ./{FILE}"
 """First line of a scene, by which Taplo and Even Better TOML find the file."""
 
@@ -23,7 +23,10 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _to_json_schema(schema: Any) -> dict[str, Any]:
-    """A schema of pydantic-core in JSON Schema; its ``metadata`` are copied."""
+    """Return a ``schema`` of pydantic-core as JSON Schema, its ``metadata`` copied.
+
+    Raises ``TypeError`` for a type that has no translation here.
+    """
     own = dict(schema.get("metadata", {}))
     lengths = {"min_length": "minItems", "max_length": "maxItems"}
     keys = {"ge": "minimum", "gt": "exclusiveMinimum", **lengths}
@@ -70,10 +73,11 @@ FURTHER = """
 
 
 def scene_text(name: str, masses: int, law: str) -> str:
-    """Return a commented scene of ``masses`` unit masses whose last one has stops of the ``law``.
+    """Return the TOML text of a scene titled ``name``: ``masses`` unit masses, springs of 1.
 
-    The clearance is the rms displacement of the last mass without stops at the mean temperature
-    Σ D/Σ c of the chain, √(masses · temperature) for springs of unit stiffness.
+    The last mass has stops on both sides of the contact law ``law``, a key of ``LAWS``. The
+    clearance is the rms displacement of the last mass without stops at the mean temperature
+    Σ D/Σ c of the chain, √(masses · temperature).
     """
     # c_i and D_i of Fig. 6 alternate: their ratios differ, condition (8) does not hold.
     alternating = (0.08, 0.04), (0.01, 0.02)

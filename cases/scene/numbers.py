@@ -20,7 +20,7 @@ RECORDS = {
     "contact": ("contacts", ("stiffness", "clearance", "exponent")),
     "damping_term": ("damping_terms", ("coefficient",)),
 }
-"""By the name of a table its field of ``System``, and the numbers that it holds."""
+"""Table of a scene: the field of ``System`` with its records, and their numbers with a path."""
 PATH = re.compile(r"(\w+)(?:\[([0-9]{1,4})\])?\.(\w+)(?:\[([0-9]{1,4})(?:,([0-9]{1,4}))?\])?")
 
 
@@ -39,19 +39,19 @@ class Place:
 
     @property
     def factor(self) -> bool:
-        """Whether the number is a factor of a whole array."""
+        """Whether the number multiplies a whole array, as ``system.damping``: no name, no index."""
         return not self.name and self.index is None
 
     def read(self, system: System) -> Array:
-        """Return the whole array of the field, or the number of every record."""
+        """Return the whole array of the field, or the number of every record, for any ``index``."""
         own = getattr(system, self.field)
         return np.array([getattr(record, self.name) for record in own] if self.name else own)
 
     def powers(self, system: System) -> Powers | None:
-        """Powers of length, mass and time of the number.
+        """Return the exponents of length, mass and time in the unit of the number; 0 for a factor.
 
-        None if the records of a list differ in them, and for an intensity D beside noise gains,
-        whose dimension a scene does not define.
+        None if the records of a list differ in them, and for entries of D and of the noise gain if
+        the gain is not the identity: a scene does not define their dimensions then.
         """
         if self.factor:
             return NUMBER
@@ -65,7 +65,7 @@ class Place:
         return different.pop() if len(different) == 1 else None
 
     def overlaps(self, other: "Place") -> bool:
-        """Whether both change the same number."""
+        """Whether setting either changes the other; an array or list overlaps its entries."""
         same = (self.field, self.name) == (other.field, other.name)
         return same and (self.index == other.index or None in (self.index, other.index))
 
@@ -76,7 +76,11 @@ def has_unit_gain(system: System) -> bool:
 
 
 def _powers_of(record: Contact | DampingTerm, name: str) -> Powers:
-    """Powers of a number of a contact, g = B x^e, or of a damping term, c qᵐ vⁿ Hᵏ."""
+    """Return the exponents of length, mass and time of a number of ``record``.
+
+    ``name``: clearance, exponent e or stiffness B of a contact, force B x^e; of a damping term
+    c qᵐ vⁿ Hᵏ it is not read, the number is the coefficient c.
+    """
     if isinstance(record, Contact):
         own = {"clearance": (1, 0, 0), "exponent": NUMBER, "stiffness": (1 - record.power, 1, -2)}
         return own[name]
@@ -114,7 +118,7 @@ def place_of(path: str, system: System) -> Place:
 
 
 def _all_paths(system: System) -> str:
-    """All paths of the system in one line, a range of indices in the place of each."""
+    """Return all paths of the system in one line, with ranges: ``contact[1..2].stiffness, …``."""
     counts = {table: len(getattr(system, field)) for table, (field, _) in RECORDS.items()}
     words = [f"{t}[1..{n}].{name}" for t, n in counts.items() if n for name in RECORDS[t][1]]
     for name in ARRAYS:
@@ -125,9 +129,10 @@ def _all_paths(system: System) -> str:
 
 
 def with_numbers(system: System, values: Mapping[str, float]) -> System:
-    """Return the system with the numbers ``values``, by paths that do not overlap.
+    """Return a new system with the numbers ``values``, by paths (``place_of``) without overlap.
 
-    Raises ``InvalidInput`` as ``place_of``, or for a number that the system cannot take.
+    A path of a whole array multiplies it; a path of all contacts sets each; D_ij sets D_ji, too.
+    Raises ``InvalidInput`` for an unknown path, or for a number that the system cannot take.
     """
     fields: dict[str, Any] = {}
     for path, value in values.items():
@@ -171,9 +176,11 @@ VARIED = {
 
 
 def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> tuple[Curve, ...]:
-    """Return the curves, the system's own first; values equal to its own are not doubled.
+    """Return the curves: first ``system`` itself, then it with each value of the varied key.
 
-    Raises ``InvalidInput`` for a value that the system cannot take.
+    ``vary`` is the table [vary], {table: {key: values}}; None: ``system`` alone. A value that
+    ``system`` or an earlier curve has makes no curve. Raises ``InvalidInput`` for more than
+    one key, and for a value that the system cannot take.
     """
     if vary is None:
         return (Curve("", system),)
@@ -206,7 +213,7 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
 
 
 def _common_ratio(system: System) -> float | None:
-    """The common ratio c_i/D_i if both are diagonal and it is the same for all i, else None."""
+    """Return c_i/D_i if c and f D fᵀ are diagonal and it is the same for all i; else None."""
     matrices = system.damping, system.noise_matrix
     c, d = map(np.diag, matrices)
     if not all(map(np.array_equal, matrices, map(np.diag, (c, d)))) or not np.all(d):

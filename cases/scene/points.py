@@ -13,9 +13,11 @@ MAX_POINTS = 200_000
 
 
 def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ...]:
-    """Return an array of points for each of ``axes`` coordinates; a pair has all combinations.
+    """Return the points in ``text`` as an array (points,) for each of ``axes`` coordinates.
 
-    Raises ``BadInput`` naming the part of ``text``, given by ``--option``, that cannot be used.
+    Two lists, separated by x or ×, give all combinations, the second varying faster. ``option`` is
+    the name of the option in messages, without dashes. Raises ``BadInput`` naming the part that
+    cannot be used, and for more than ``MAX_POINTS`` points.
     """
     given = f"--{option} {toml_value(text)}"
     parts = [p.strip() for p in re.split(r"[x×]", text)]
@@ -28,7 +30,11 @@ def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ..
 
 
 def _list(part: str, given: str) -> Array:
-    """Points of one list by decimal arithmetic: exactly the written numbers, the end included."""
+    """Return the points of a list such as ``-1:1:0.1,3``, in the order in which they are written.
+
+    Steps are added in decimal arithmetic, so that the end is a point if a whole number of steps
+    leads to it. Raises ``BadInput`` that begins with ``given``.
+    """
     points: list[Decimal] = []
     for item in part.split(","):
         match [_number(n, given) for n in item.split(":")]:

@@ -111,7 +111,7 @@ def transients_of(
 
 @contextmanager
 def _name_table(place: str) -> Iterator[None]:
-    """Put the table before the key of an ``InvalidInput``."""
+    """Re-raise an ``InvalidInput`` of the block with ``place``, as passage[1], before its key."""
     try:
         yield
     except InvalidInput as error:
@@ -130,9 +130,10 @@ def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def require_below(system: System, limit: Limit, start: Start) -> None:
-    """Raise ``InvalidInput`` for a ``start`` at or beyond the ``limit`` for all phases.
+    """Raise ``InvalidInput`` if a |q_i|, H or H_m that ``start`` gives is >= its ``limit``.
 
-    A check before any work; methods also check the states or energies from which they start.
+    A state gives all of them, an energy H alone, modal energies also their sum, a lower bound of H.
+    The other quantities are not known yet; methods check the states from which they start.
     """
     least = dict(start.values)
     if start.kind == "state":

@@ -30,7 +30,7 @@ NO_KEY = re.compile(
       | "(?:\\.|[^"\\\n])*+"? | '[^'\n]*+'? | \#[^\n]* | \d\.\d""",
     re.VERBOSE | re.DOTALL,
 )
-"""Texts, comments and decimal points of TOML; all remaining dots belong to dotted keys."""
+"""Matches texts, comments and decimal points of TOML; all other dots belong to dotted keys."""
 
 
 def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
@@ -60,8 +60,9 @@ def read_toml(path: Path, label: str) -> tuple[dict[str, Any], str]:
 def read_text(path: Path, label: str, *, most: int, what: str) -> str:
     """Return the UTF-8 text of a regular file of at most ``most`` bytes.
 
-    ``what`` names the expected content in messages. Raises ``BadInput`` with one line that begins
-    with ``label`` for a larger file, a folder, a pipe or a device, and for text that is not UTF-8.
+    ``what`` names the expected content in messages, as "a scene". Raises ``BadInput`` with one line
+    that begins with ``label`` for a file that is missing, unreadable, larger or not UTF-8, and for
+    a folder, a pipe or a device.
     """
     with readable_errors(label, "cannot be read", "give another file"):
         mode = path.stat().st_mode
@@ -84,7 +85,7 @@ def read_text(path: Path, label: str, *, most: int, what: str) -> str:
 
 
 def _depth(value: Any) -> int:
-    """Levels of tables and lists."""
+    """Return how deep tables and lists are nested: 1 for a flat list, 0 for a number or text."""
     if not isinstance(value, (dict, list)):
         return 0
     return 1 + max(map(_depth, value.values() if isinstance(value, dict) else value), default=0)
@@ -98,11 +99,12 @@ SHIPPED = ("paper", "hard", "more", "time")
 class Scene:
     """A checked scene file.
 
-    ``name`` is the file's stem; ``text`` the content of the file; ``curves`` holds the scene's own
-    system first, then the curves of ``[vary]``. ``passages`` and ``transients`` are asked for each
-    curve. ``exceedance`` has pairs (X, a): an observable and a level of P(X > a). ``units`` are the
-    names of ``[units]``. ``densities_asked``: ``observables`` come from ``[observe]``, not from the
-    defaults. ::
+    ``name`` is the file's stem, also the ``title`` if the file has none; ``source`` says where the
+    values come from; ``text`` is the content of the file; ``curves`` holds the scene's own system
+    first, then the curves of ``[vary]``. ``expect``: the claims, None for none. ``passages`` and
+    ``transients`` are the questions in time, for each curve. ``exceedance`` has pairs (X, a): an
+    observable and a level of P(X > a). ``units`` are the names of ``[units]``.
+    ``densities_asked``: ``observables`` come from ``[observe]``, not from the defaults. ::
 
         scene = fpk.load("fig6a")
         scene.title, scene.system, [(curve.label, curve.value) for curve in scene.curves]

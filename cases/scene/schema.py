@@ -44,9 +44,10 @@ def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> 
 
 
 def _table(required: str, **keys: Any) -> core.TypedDictSchema:
-    """A table with some ``required`` keys, others than ``keys`` refused; absent keys stay absent.
+    """Return the schema of a table with these ``keys``; any other key is an error.
 
-    A key has a schema, or a schema with its description and further metadata.
+    ``required``: names of keys that must be given, separated by blanks; other absent keys get no
+    default. The value of a key is its schema, or (schema, description, further metadata).
     """
     fields = {
         key: core.typed_dict_field(
@@ -59,7 +60,7 @@ def _table(required: str, **keys: Any) -> core.TypedDictSchema:
 
 
 def _records(make: Callable[..., Any], table: core.CoreSchema, most: int = MAX_MASSES) -> Any:
-    """A list of tables, each made a record by ``make``."""
+    """Return the schema of a list of 0 to ``most`` tables, each replaced by ``make(**table)``."""
     return _list(_then(lambda keys: make(**keys), table), least=0, most=most)
 
 
@@ -91,7 +92,7 @@ def _list_or_matrix(value: Any) -> str:
 
 
 def _said(schema: Any, description: str, more: Mapping[str, Any] | None = None) -> Any:
-    """The schema with a ``description`` and ``more`` metadata for its JSON Schema."""
+    """Return a copy of ``schema`` with ``description`` and ``more`` as keys of its JSON Schema."""
     return {**schema, "metadata": {"description": description, **(more or {})}}
 
 
@@ -238,7 +239,8 @@ SCENE = _table(
         ),
     ),
 )
-"""The whole file."""
+"""Schema of a scene file. Validation replaces contacts, damping terms, units and the modulation by
+their records."""
 
 _VALIDATOR = SchemaValidator(SCENE)  # it checks the schema itself
 
@@ -261,7 +263,11 @@ REMEDIES = {
 
 
 def validate_scene(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the checked tables of a scene; raise ``InvalidInput`` for the first mistake."""
+    """Return the tables ``data`` of a scene file, checked and with the records of ``SCENE``.
+
+    Raises ``InvalidInput`` for an unknown key, else for the first mistake, naming the key as
+    ``contact[1].clearance``, counted from 1.
+    """
     try:
         tables: dict[str, Any] = _VALIDATOR.validate_python(data)
     except ValidationError as error:

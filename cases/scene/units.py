@@ -45,8 +45,8 @@ NAMED: tuple[tuple[str, Powers], ...] = (
     ("rate|per unit time|frequency", DERIVED["rate"]),
     ("time|passage|lag", (0, 0, 1)),
 )
-"""Words in the name of a quantity, and its dimension; the first match counts. Without a match, as
-for a mean, the quantity has the dimension of the observable."""
+"""Regular expression in the name of a quantity, and its dimension; the first match counts. Without
+a match, as for a mean, the quantity has the dimension of the observable."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Units:
     """Names of the units of ``length``, ``mass`` and ``time``, as ``mm``, ``kg``, ``s``.
 
     A scene without ``[units]`` has empty names, and all derived units are empty, too. Numbers are
-    never converted. Raises ``InvalidInput`` if two units have the same name.
+    never converted.
     """
 
     length: str = ""
@@ -62,7 +62,7 @@ class Units:
     time: str = ""
 
     def __post_init__(self) -> None:
-        """Check that a product of powers can be read."""
+        """Raise ``InvalidInput`` if two units have the same name."""
         named = [name for name in (self.length, self.mass, self.time) if name]
         if len(set(named)) < len(named):
             key = "time" if self.time in named[:-1] else "mass"
@@ -71,8 +71,8 @@ class Units:
     def of(self, *dimensions: Powers, inverse: bool = False) -> str:
         """Return the unit of a product of quantities of these powers of length, mass and time.
 
-        As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` if a power is no integer; 1
-        for a number, empty without names.
+        As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` if a power is no integer; "1"
+        for a number, empty without names. ``inverse``: the unit of 1 over the product.
         """
         if not self:
             return ""
@@ -87,7 +87,7 @@ class Units:
         return " ".join(factors) or "1"
 
     def __bool__(self) -> bool:
-        """Whether the scene names its units."""
+        """Whether length, mass and time all have names."""
         return bool(self.length and self.mass and self.time)
 
     def coordinate(self, coordinate: Coordinate) -> str:
@@ -105,8 +105,9 @@ class Units:
     def number(self, name: str, observable: str = "") -> str:
         """Return the unit of a quantity by its name, such as ``rms`` or ``mean force, left stop``.
 
-        ``observable`` is its name, as ``q2``; a ``variance`` has the square of its unit, the
-        ``covariance`` of a pair the product of both units.
+        ``observable``, as ``q2``, is the coordinate or pair of which the quantity is; its unit is
+        taken if no words of ``NAMED`` are in ``name``: squared for a ``variance``, the product of
+        both units for the ``covariance`` of a pair.
         """
         own = [DIMENSIONS[c[0]] for c in observable.split(",") if c[:1] in DIMENSIONS]
         named = next(([powers] for words, powers in NAMED if re.search(words, name)), own)
@@ -129,5 +130,5 @@ def attribute(unit: str) -> str:
 
 
 def in_brackets(unit: str) -> str:
-    """Return a unit as it stands behind a name, nothing where it has no name or is a number."""
+    """Return ``unit`` to stand behind a name, as ``" [mm]"``; nothing if it is empty or "1"."""
     return f" [{unit}]" if unit not in ("", "1") else ""

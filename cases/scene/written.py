@@ -7,7 +7,7 @@ DIGITS = 7
 """Largest number of significant digits of a number with its error in brackets."""
 
 SMALL = 1e-3
-"""Largest error of a number within its error of zero that is shown as ``0(error)``."""
+"""A number x with |x| <= error < ``SMALL`` is written ``0(error)``."""
 
 SCHEMA = 2
 """Version of the records of JSON: 2 has this number, ``quantities``, and curves in one shape."""
@@ -26,7 +26,11 @@ NOTE = (
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Return a number to ``digits`` digits: plain if it is short, else with a power of ten."""
+    """Return ``value`` as text: a float as ``1.23 × 10⁻⁵``, to ``digits`` significant digits.
+
+    From 1e-3 to 1e5 it is plain, with one digit more. The entries of a list are joined by commas;
+    None is a dash; anything else is ``str(value)``.
+    """
     if value is None:
         return "–"
     if isinstance(value, (list, tuple)):
@@ -40,9 +44,9 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def round_up(value: float, last: int) -> int:
-    """Return the least count of 10**``last`` that is no less than ``value`` >= 0.
+    """Return the least integer k with k · 10**``last`` >= ``value`` · (1 − 1e-12); ``value`` >= 0.
 
-    Round-off of the division, 1e-12 of the value, does not make one more.
+    The 1e-12 is round-off, which must not make k larger.
     """
     return ceil(value / 10.0**last * (1.0 - 1e-12))
 
@@ -58,7 +62,7 @@ def bound(error: float | None, digits: int = 2) -> str:
 
 
 def percent(share: float, *, up: bool = False) -> str:
-    """Return a ``share`` as a percentage of two digits, rounded up with ``up``."""
+    """Return ``100 * share`` to two digits, as ``12 %``; 0 if negative. ``up``: rounded up."""
     value = 100.0 * share
     if value <= 0.0:
         return "0 %"
@@ -75,8 +79,8 @@ def up(error: float | None) -> str:
 def with_error(value: float | None, error: float | None) -> str:
     """Return ``0.1235 ± 1.3e−3``: at most six digits of ``value``, as its ``error`` allows.
 
-    A value below a tenth of its error is shown as 0, and its modulus is added to the error. A dash
-    if either is None.
+    The error is rounded up to two digits, and left out if it is 0. A value below a tenth of its
+    error is shown as 0, and its modulus is added to the error. A dash if either is None.
     """
     if value is None or error is None:
         return "–"
