@@ -139,10 +139,10 @@ def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
 
 
 def compare(answers: Answers) -> tuple[Comparison, ...]:
-    """Return what separates any two answers to one question, and which of three errors it is.
+    """Return the differences of all pairs of densities of one observable, and which error each is.
 
-    Numerical and sampling differences are judged (``holds``); those that averaging makes are
-    reported, ``band`` is None. ::
+    Numerical and sampling differences are judged (``holds``); averaging errors are reported, their
+    ``band`` is None. ::
 
         for c in fpk.compare(fpk.solve(fpk.load("fig3a").system, ["q2"])):
             print(c.a.label, c.b.label, c.measures, c.L1, c.band)

@@ -28,15 +28,15 @@ LEAST_FAILURES = 400.0
 its default 8192 paths; fewer do not give the failure rate, which continues the curve."""
 
 WINDOW_POINTS = 129
-"""Number of points in the window of one time."""
+"""Number of equidistant points in a window, the interval in which p at one time is compared."""
 
 WINDOW_SHARE = 1e-3
-"""Density at the edge of a window over its maximum; also the tolerance of the quick solution by
-which windows are chosen."""
+"""Density at the edge of a window over the largest density; also the L1 tolerance of the quick
+solution by which windows are chosen."""
 
 DECADES, SCALES, MANY = (-8.0, 3.0), 12.0, 4401
-"""Points of the quick solution: energies in decades of the energy scale, displacements or momenta
-up to so many of their scales, and the number of points."""
+"""``MANY`` points of the quick solution: energies from 1e-8 to 1e3 of the energy scale E and 0, or
+displacements and momenta within ± ``SCALES`` of their values at the energy E."""
 
 
 def replies_of(
@@ -49,9 +49,10 @@ def replies_of(
 ) -> Replies:
     """Return the answers of all ``methods`` that can answer ``question``.
 
-    ``attempts``, without refusals so far, say how they are asked; ``tol``: tolerance of solvers,
-    None: their defaults. Simulations run until the last time. Splitting replaces the simulation of
-    the full system if that is not certified, or would see few failures by an earlier answer.
+    ``attempts`` must have no refusals yet; refusals and notes are added to it. ``tol``: tolerance
+    of solvers, None: their defaults. Simulations of a first passage run until the last time.
+    Splitting replaces the simulation of the full system if no answer of the full system is
+    certified; a simulation that would see few failures by an earlier answer is not run.
     """
     attempts, names = attempts or Attempts(), (question.name,)
     budget = attempts.budget
@@ -124,7 +125,11 @@ def replies_of(
 
 
 def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:
-    """Why a simulation would see too few failures, by the answers ``given`` so far; else None."""
+    """Return why a simulation ``method`` would see fewer than ``LEAST_FAILURES``; else None.
+
+    Expected are its paths times the largest P(T <= last time) of the certified answers ``given``.
+    None also without such an answer, and for other methods and questions.
+    """
     if not (method.route.sampled and isinstance(question, PassageQuestion) and question.times):
         return None
     known = [
@@ -144,10 +149,11 @@ def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | 
 def window_of(
     system: System, question: TransientQuestion, methods: Sequence[Any], budget: Budget
 ) -> tuple[Array, tuple[Any, ...]]:
-    """Return ascending points, and for each time the indices of the points in its window.
+    """Return ascending points, and for each time the indices (``WINDOW_POINTS``,) of its window.
 
-    A window has ``WINDOW_POINTS`` and follows from a quick answer of the first of ``methods`` that
-    gives one within the ``budget``; without any there are no windows.
+    The points are of all windows together. Windows follow from a quick answer of the first of
+    ``methods`` that gives one within the ``budget``; without any there are no windows, and the
+    points are ``MANY`` over all scales.
     """
     (coordinate,), values = question.of, question.start.values
     damping, noise = np.diag(system.damping), np.diag(system.noise_matrix)

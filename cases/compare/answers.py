@@ -96,7 +96,10 @@ class Answers(Mapping[Any, AnyDensity]):
         return {route.label: density for route, density in densities.items()}
 
     def __getitem__(self, key: str | tuple[str, str]) -> AnyDensity:
-        """Return one density; raise ``KeyError`` naming the given densities if it is not one."""
+        """Return the density of ``key``: an observable, or (observable, label of the method).
+
+        Raises ``KeyError`` naming the densities there are if ``key`` has none, or several.
+        """
         observable, method = (key, None) if isinstance(key, str) else key
         densities = self.of(observable)
         if method is None and len(densities) == 1:
@@ -131,9 +134,10 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @cached_property
     def unknown_averaging_errors(self) -> dict[str, list[str]]:
-        """Observables and questions that only averaged equations answer, by the note on them.
+        """Notes on averaging errors that are not known, each with the names of its answers.
 
-        Where averaging is exact there is no note.
+        The names are of observables and questions that only averaged equations answer. There is no
+        note if averaging is exact.
         """
         of = dict.fromkeys(d.observable for d in self.values())
         densities = [(observable_name(o), self.densities(o), False) for o in of]
@@ -147,7 +151,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @cached_property
     def tails(self) -> tuple[dict[str, Any], ...]:
-        """The tails of averaged theories that are off by a factor, see ``tails_off``."""
+        """Rows of ``tails_off``: tails that theories miss by a factor; none for modulated noise."""
         if self.system.modulation is not None:
             return ()
         of = dict.fromkeys(d.observable for d in self.values() if len(d.observable) == 1)

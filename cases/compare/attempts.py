@@ -44,15 +44,15 @@ class Budget:
     _routes: int = 1
 
     def begin(self, routes: int) -> None:
-        """Begin the next question, with up to ``routes`` simulations."""
+        """Give the next question its share of the remaining time, for up to ``routes`` routes."""
         self._own, self._routes = (self.seconds or 0.0) / max(1, self.questions), routes
         self.questions -= 1
 
     def spend(self, method: Any, work: Callable[[Any], Answer]) -> Answer:
         """Return ``work(method)``; a simulation gets its share of the time as ``seconds``.
 
-        The share is never below 1 ms: a simulation that starts late then says that its time did
-        not suffice.
+        The time that it takes is subtracted. The share is never below 1 ms: a simulation that
+        starts late then says that its time did not suffice.
         """
         if self.seconds is None or not method.route.sampled:
             return work(method)
@@ -67,7 +67,7 @@ class Budget:
 
 
 def budget_of(methods: Sequence[Any], questions: int) -> Budget:
-    """Return the budget for ``questions``: the largest ``seconds`` of any simulation."""
+    """Return the budget for ``questions``: the largest ``seconds`` of a simulation, if any."""
     given = [m.seconds for m in methods if m.route.sampled and getattr(m, "seconds", None)]
     return Budget(max(given, default=None), questions)
 
@@ -118,7 +118,8 @@ class Attempts:
     ) -> Answer | None:
         """Return ``work()``; if it raises one of ``REFUSALS``, add the refusal and return None.
 
-        An error of a type in ``failures`` counts as failed.
+        The refusal is of ``route`` for ``observables``, failed if the error has a type in
+        ``failures``. None also if interrupted before, or now with ``partial``.
         """
         if self.interrupted:
             self.refuse(route, observables, INTERRUPTED)
@@ -141,9 +142,10 @@ class Attempts:
         ask: Callable[..., Answer],
         certificates: Callable[[Answer], Iterable[Certificate]],
     ) -> Answer:
-        """Return ``ask(tol=None)``, with ``relax`` by ``loosen_tolerance``.
+        """Return ``ask(tol=None)``; with ``relax`` the answer of ``loosen_tolerance``.
 
-        ``label`` begins the note on it.
+        ``certificates`` returns the certificates of an answer. A note on a looser tolerance is
+        added to ``notes`` behind ``label``.
         """
         if not self.relax:
             return ask(tol=None)

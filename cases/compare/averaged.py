@@ -65,7 +65,7 @@ class AveragedSimulation(Method):
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every field."""
+        """Check seed, step, threads, tolerance and seconds."""
         if not 0 <= self.seed < 2**64:
             raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
         for key in ("step", "threads", "tol", "seconds"):
@@ -157,8 +157,9 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def limits(self, form: Any, limit: Limit) -> tuple[Array, Array]:
-        """Return weights (limits, d) of X, and values (limits,) that their sums must not exceed.
+        """Return weights (limits, d) and values (limits,): passed if ``weights @ X >= values``.
 
+        X (d,) are the modal energies, or for energy averaging the transform of H by ``form``.
         Raises ``NotApplicable`` for a kind of limit that the theory does not have.
         """
         line, d = self.theory == "nonintegrable", form.scales.size
@@ -212,13 +213,13 @@ class AveragedSimulation(Method):
         return lambda paths, stream: np.tile(fixed, (paths, 1))
 
     def _steps(self, form: Any) -> tuple[float, int]:
-        """The longest relaxation time, and the number of steps in half of it."""
+        """Return the longest relaxation time, and the steps in half of it, 1 if steps are exact."""
         times, exact = form.scales / form.noise, form.damping is None
         slowest, longest = float(times.max()), STATIONARY * self.step * float(times.min())
         return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
 
     def _sampling(self) -> dict[str, Any]:
-        """Arguments of every simulation."""
+        """Return the arguments ``seed``, ``threads`` and ``seconds`` of every simulation."""
         threads = self.threads or usable_cores()
         return {"seed": self.seed, "threads": threads, "seconds": self.seconds}
 

@@ -27,7 +27,7 @@ ALMOST_L1 = 0.05
 by more than 2.5 %, about the width of a printed line."""
 
 ALMOST_KURTOSIS = 0.3
-"""Largest excess kurtosis of an almost Gaussian density, a tenth of the Gaussian's 3. A density
+"""Largest |excess kurtosis| of an almost Gaussian density, a tenth of the Gaussian's 3. A density
 that exceeds this or ``ALMOST_L1`` is non-Gaussian."""
 
 
@@ -43,7 +43,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Shape:
-    """Distance of a density to the Gaussian of its mean and variance; the errors are bounds."""
+    """L1 distance of a density to the Gaussian of its mean and variance; its ``kurtosis`` − 3."""
 
     l1: float
     l1_error: float
@@ -52,7 +52,7 @@ class Shape:
 
     @property
     def almost_gaussian(self) -> bool | None:
-        """Whether both measures are small; None if their errors leave it open."""
+        """Whether l1, |kurtosis| are below ``ALMOST_L1``, ``ALMOST_KURTOSIS``; None: undecided."""
         near = {
             _below(self.l1, ALMOST_L1, self.l1_error),
             _below(abs(self.kurtosis), ALMOST_KURTOSIS, self.kurtosis_error),
@@ -105,7 +105,11 @@ def findings(expect: Expect | None, curves: Sequence[Answers]) -> Iterator[Findi
 
 
 def _clearance_rule(curve: Answers, rule: float, distance: tuple[float, float] | None) -> Finding:
-    """Whether modal averaging, at ``distance``, is acceptable beyond ``rule`` rms, not below."""
+    """Return the finding that modal averaging is acceptable if all clearances exceed ``rule`` rms.
+
+    If one does not, the finding is on the converse: not acceptable. ``distance`` is its L1 distance
+    to the full system and the error; None: not checked.
+    """
     stops = curve.system.fact(stop_clearances)
     ratios = [stop.ratio for stop in stops if stop.ratio is not None]
     claim = f"integrable acceptable for clearance > {rule:g} rms"
@@ -123,8 +127,8 @@ def _clearance_rule(curve: Answers, rule: float, distance: tuple[float, float] |
 def shape_of(density: AnyDensity) -> Shape:
     """Return excess kurtosis and L1 distance to the Gaussian of the same mean and variance.
 
-    The mass of the Gaussian outside of the support is included. The integral over the bins of a
-    sample has no error.
+    ``density`` is of one coordinate. The mass of the Gaussian outside of the support is included.
+    Errors of a sample: ∫ standard error, and three standard errors of the kurtosis.
     """
     mean, scale, kurtosis = density.mean().value, density.std().value, density.kurtosis()
     (nodes,), excess = density.panels, kurtosis.value - 3.0
@@ -144,7 +148,7 @@ def shape_of(density: AnyDensity) -> Shape:
 
 
 def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
-    """The most accurate density of the full system; certified ones first."""
+    """Return the full system's density of least L1 error, a certified density first, if any."""
     full = (d for route, d in curve.densities(of).items() if route.solves == "full")
     return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
 
@@ -152,7 +156,11 @@ def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
 def _nearer(
     claim: str, where: str, near: tuple[float, float] | None, far: tuple[float, float] | None
 ) -> Finding:
-    """Whether the distance ``near`` (value, error) to the full system is smaller than ``far``."""
+    """Return the finding whether the L1 distance ``near`` (value, error) is smaller than ``far``.
+
+    ``where`` is the label of the curve. Undecided within the sum of the errors; not checked if one
+    distance is None.
+    """
     if near is None or far is None:
         return Finding(claim, where, "no answer to compare with", "not checked")
     measured = f"L1 {with_error(*near)} against {with_error(*far)}"
@@ -160,9 +168,10 @@ def _nearer(
 
 
 def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] | None:
-    """L1 distance of an averaged method's first deterministic density to the full system.
+    """Return the L1 distance of the averaged method ``name`` to the full system, and its error.
 
-    With its uncertainty by chance and solvers; None if one of the two densities is missing.
+    The error is by chance and solvers. None if the method has no density by functions, or the full
+    system none at all.
     """
     own = (d for r, d in curve.densities(of).items() if r.method == name and not r.sampled)
     theory, reference = next(own, None), _reference(curve, of)

@@ -87,7 +87,8 @@ def compare_densities(
     """Return the comparison of every pair of ``results`` in every observable they share.
 
     ``averaging_is_exact``: the compatibility condition (8) holds, so that averaged theories
-    coincide with the exact one (end of section 6.2) unless they neglect an effect.
+    coincide with the exact one (end of section 6.2) unless they neglect an effect. Two histograms
+    on different bins are not compared.
     """
     comparisons = []
     answers = [(r, d, _with_error(d)) for r in results for d in r.densities]
@@ -127,7 +128,7 @@ def discrepancies(
 
 
 def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
-    """The answer that a difference speaks against, in words; empty if nothing decides."""
+    """Return in words, "; …", which answer a difference speaks against; empty if undecided."""
     routes = (difference.a, difference.b)
     if doubtful := difference.uncertified:
         others = [r.label for r in routes if r not in doubtful]
@@ -150,7 +151,11 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
 
 
 def what_is_measured(a: Route, b: Route, *, averaging_is_exact: bool) -> Measures:
-    """Return which of the three errors separates the answers of two routes."""
+    """Return which of the three errors separates the answers of two routes.
+
+    "averaging" if one solves an averaged equation, the methods differ and ``averaging_is_exact`` is
+    False; else "sampling" if one is sampled, else "numerical".
+    """
     averaged = "averaged" in (a.solves, b.solves)
     if averaged and a.method != b.method and not averaging_is_exact:
         return "averaging"
@@ -203,6 +208,6 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
 
 
 def join_bins(sampled: SampledDensity, bins: int | None = None) -> SampledDensity:
-    """Return the histogram in about ``bins`` bins on each axis, None: ``BINS_1D``, ``BINS_2D``."""
+    """Return the histogram in ``bins`` or more bins an axis, None: ``BINS_1D``, ``BINS_2D``."""
     wanted = bins or (BINS_1D if len(sampled.edges) == 1 else BINS_2D)
     return sampled.joined(min(sampled.values.shape) // wanted)

@@ -76,11 +76,12 @@ def incompatibility(system: System) -> str | None:
 
 
 def rms_ratios(system: System) -> tuple[Array, float, float]:
-    """Return the rms of every q and v (2n,) by energy averaging without contacts, over the exact.
+    """Return how energy averaging without contacts errs, the spread of energies, and the damping.
 
-    It gives all modes one temperature, Σ D_ii/m_i / Σ c_ii/m_i. With the largest E P_m² of a mode
-    over the least, and the largest damping ratio c*_mm/(2 ω_m). Raises ``NotApplicable`` where the
-    motion without contacts has no Gaussian law.
+    First the rms of q_1 …, v_1 … (2n,) if all modes had the temperature Σ D_ii/m_i / Σ c_ii/m_i,
+    over the exact rms; then the largest E P_m² of a mode over the least; then the largest damping
+    ratio c*_mm/(2 ω_m). Raises ``NotApplicable`` if the motion without contacts has no Gaussian law
+    or some variance is 0.
     """
     exact, n = system.fact(linear_covariance), system.n
     states = np.kron(np.eye(2), exact.shapes) / np.append(exact.omega, np.ones(n))
@@ -102,7 +103,7 @@ def averaging_notes(
 
 
 def notes_in_words(notes: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Return each note behind the names of its answers."""
+    """Return each note behind the names of its answers: ``q1, H: averaging error not known``."""
     return tuple(f"{', '.join(own)}: {note}" for note, own in notes.items())
 
 

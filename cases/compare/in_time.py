@@ -116,7 +116,7 @@ class Replies:
 
 
 def failure_of(p: Passage) -> tuple[Array, Array]:
-    """Return P(T <= t) and its error, by the method itself or as 1 − P(T > t)."""
+    """Return P(T <= t) and its error (times,), by the method itself or else as 1 − P(T > t)."""
     if p.failure is not None and p.failure_error is not None:
         return p.failure, p.failure_error
     return 1.0 - p.survival, p.survival_error
@@ -125,8 +125,9 @@ def failure_of(p: Passage) -> tuple[Array, Array]:
 def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance]:
     """Yield the differences of mean time, failure rate, P(T <= t) and P(T > t), if both give them.
 
-    ``judged``: of all times the difference that is largest in units of its band is given, else the
-    largest difference.
+    They are relative to ``b``, of P(T > t) absolute; a number with a relative error above
+    ``COMPARABLE`` is left out. ``judged``: of all times the difference that is largest in units of
+    its band is given, else the largest difference.
     """
     sampled = [p.error_kind == "sampling" for p in (a, b)]
     both = [("mean time", a.mean, b.mean)]
@@ -148,9 +149,10 @@ def passage_distances(a: Passage, b: Passage, judged: bool) -> Iterator[Distance
 
 
 def _survivals(a: Passage, b: Passage) -> list[tuple[Array, Array]]:
-    """P(T > t) and standard errors of both; a sample's error is at least binomial by a solution.
+    """Return P(T > t) and its error, (times,) each, of ``a`` and of ``b``.
 
-    A sample with few failures underestimates its own standard error.
+    If only one is sampled, its error is raised to √(S(1 − S)/paths) with P(T > t) = S of the other:
+    a sample with few failures underestimates its own standard error.
     """
     pairs = [(p.survival, p.survival_error) for p in (a, b)]
     if (a.error_kind == "sampling") != (b.error_kind == "sampling"):
@@ -175,7 +177,9 @@ def _worst(
 ) -> Iterator[Distance]:
     """Yield the largest of the differences at ``times``, in units of their bands if ``judged``.
 
-    ``pair`` has the values and errors (times,) of both answers.
+    ``name`` has a place for the time. ``pair`` has the values and errors (times,) of both answers,
+    ``sampled`` says whose errors are standard errors. Times at which an error is too large are left
+    out; if all are, nothing is yielded.
     """
     a, b = pair
     unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)
@@ -192,11 +196,11 @@ def _worst(
 
 
 def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
-    """The band of each of ``count`` differences judged together, and its uncertainty.
+    """Return the allowed size of each of ``count`` differences, and their uncertainty.
 
-    The uncertainty is one standard error plus the errors of solvers.
-    ``errors`` of the two answers; errors of solvers add up. Standard errors (``sampled``) add in
-    squares; the band has as many of them as Student's t for ``BATCHES`` asks (Bonferroni).
+    ``errors`` (2, …) are of both answers: standard errors if ``sampled``, which add in squares to
+    s, else of solvers, which add up to e. The uncertainty is s + e, the allowed size z s + e: z is
+    Student's t for ``BATCHES`` at the two-sided level ``FALSE_ALARMS/count`` (Bonferroni).
     """
     chance = np.sqrt(sum(e**2 for e, s in zip(errors, sampled, strict=True) if s) + 0.0)
     stated = sum(e for e, s in zip(errors, sampled, strict=True) if not s) + 0.0
@@ -207,11 +211,11 @@ def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
 def density_distances(
     a: Transient, b: Transient, points: Array, windows: Sequence[Any], judged: bool
 ) -> Iterator[Distance]:
-    """Yield the largest L1 distance of all times, each over its window, as ``_worst`` does.
+    """Yield the L1 distance of ``a`` and ``b`` at the time at which it is largest.
 
-    ``points`` (points,) and ``windows`` are those fields of ``Replies``. Trapezoidal rule for the
-    distance and its band. A normal deviation has the mean modulus √(2/π) σ with the variance (1 −
-    2/π) σ².
+    It is largest in units of its band if ``judged``. Each is over its window by the trapezoidal
+    rule; ``points`` and ``windows`` are these fields of ``Replies``; nothing is yielded without
+    windows. A normal deviation has the mean modulus √(2/π) σ with the variance (1 − 2/π) σ².
     """
     if not windows:
         return

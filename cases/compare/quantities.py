@@ -54,7 +54,7 @@ class Quantity:
 
     @property
     def label(self) -> str:
-        """The name in tables: an impact rate by this name, a level with its coordinate."""
+        """The name for readers: "impact rate, …", "probability of q2 > 1.2", else ``quantity``."""
         if self.definition.kind == "exceedance":
             return self.quantity.replace("probability above", f"probability of {self.observable} >")
         return self.quantity.replace("upcrossing rate", "impact rate")
@@ -127,7 +127,7 @@ def quantity_discrepancies(
 
 
 def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterator[Quantity]:
-    """The quantities by one route: first of each density, then the impact rates."""
+    """Yield the quantities of one ``result``: first of each density, then the impact rates."""
     route = result.method.route
     for density in result.densities:
         definitions = definitions_of(system, density.observable, exceedance)
@@ -146,7 +146,11 @@ def _rows(system: System, result: Result, exceedance: Sequence[Level]) -> Iterat
 def _rates(
     system: System, result: Result, q: Coordinate, p: Coordinate, count: int
 ) -> Iterator[Quantity]:
-    """The impact rates of all stops of the mass of ``q``, which has ``count`` quantities."""
+    """Yield the impact rates of all stops of the mass of ``q``, of ``count`` quantities judged.
+
+    From the joint density of ``q`` and ``p`` if ``result`` has it, else by ``crossings`` of a quick
+    solver; else none.
+    """
     method: Any = result.method
     route = method.route
     definitions = [d for d in definitions_of(system, (q,)) if d.kind == UPCROSSING]
@@ -171,7 +175,7 @@ def _rates(
 
 
 def _reach(definition: Definition, density: AnyDensity, number: Number, count: int) -> float:
-    """Bound of the error of one of ``count`` numbers of ``density``, see ``reach_of``."""
+    """Return ``reach_of`` the quantity ``definition``, inf if a sample cannot bound its error."""
     kind, p = definition.kind, definition.at
     sampled = isinstance(density, SampledDensity) and isfinite(number.value)
     if kind == "quantile" and p is not None and sampled:
@@ -195,7 +199,8 @@ def reach_of(density: AnyDensity | None, number: Number, size: float, count: int
     """Return a bound of the error of ``number``, which follows from ``density``, None: from none.
 
     For a sample: Student's t of the batches, and Bernstein's term for a number of the order of
-    ``size`` from few independent samples. ``count`` quantities share the rate ``FALSE_ALARMS``.
+    ``size`` from few independent samples; inf if its error is 0. ``count`` quantities share the
+    rate ``FALSE_ALARMS``.
     """
     value, error = abs(number.value), number.error
     if not isinstance(density, SampledDensity):

@@ -32,7 +32,8 @@ MOMENTS = ("mean", "rms", "std", "skewness", "kurtosis")
 PLAIN = (*MOMENTS, "variance")
 PAIR = ("covariance", "correlation")
 AT_NUMBER = ("quantile", "exceedance", "cdf")
-"""Methods of a density: of one coordinate, of a pair, and of one coordinate and a number."""
+"""Methods of a density of one coordinate that take a number: a probability, or a level. ``PLAIN``
+methods take none, ``PAIR`` methods are of a pair of coordinates."""
 QUANTILES = {"quantile 1 %": 0.01, "median": 0.5, "quantile 99 %": 0.99}
 """Quantiles that a run shows, by their names there."""
 UPCROSSING = "upcrossing_rate"
@@ -42,7 +43,7 @@ AT_STOP = (
 )
 """Numbers of one stop in the order of the tables; its impact rate is ``UPCROSSING``."""
 PASSAGE = {"failure_rate": "rate", "mean_passage": "mean"}
-"""Numbers of a ``Passage`` from rest."""
+"""Quantities of a first passage from rest: attribute of ``Passage``."""
 RELAXATION = "relaxation_rate"
 AVERAGING = "averaging_error"
 MOST_RATES = 100
@@ -99,7 +100,7 @@ class Definition:
         return f"{words}, {stop.side} stop{where}"
 
     def stops(self, system: System) -> tuple[Contact, ...]:
-        """Return the one-sided stops of the contact, none without a contact."""
+        """Return the stops of the contact on ``side``, empty: on both; none without a contact."""
         if self.contact is None:
             return ()
         sides = system.contacts[self.contact].one_sided()
@@ -112,7 +113,7 @@ class Definition:
         return tuple(stop.sign * stop.clearance for stop in self.stops(system))
 
     def of(self, density: AnyDensity, system: System) -> Number:
-        """Return the number of a stationary density of ``observable``.
+        """Return the number that follows from ``density``, stationary and of ``observable``.
 
         Numbers and errors of both sides of a contact are added.
         """
@@ -172,7 +173,7 @@ def definitions_of(
 
 
 def parse_definition(text: str, system: System) -> Definition:
-    """Return the quantity that ``text`` names for ``system``; raise ``InvalidInput`` for none."""
+    """Return the quantity that ``text``, as rms(q2), names; raise ``InvalidInput`` for none."""
     match = re.fullmatch(r"\s*(\w+)\s*\((.*)\)\s*", text)
     kind, inside = (match[1], match[2].strip()) if match else (text, "")
     name, _, rest = (part.strip() for part in inside.partition(","))

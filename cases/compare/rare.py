@@ -32,7 +32,7 @@ ALIVE = 0.1
 answer; its moments are continued by the failure rate."""
 
 REPLICAS, REPETITIONS = 256, 8
-"""Replicas of a run of splitting, and independent runs: 1e-9 to 20 % in some seconds."""
+"""Replicas of a run of splitting, and independent runs: P = 1e-9 to 20 % in some seconds."""
 
 MORE_REPLICAS = 512
 """Replicas of a run of splitting to a given relative error; with fewer, the error of a probability
@@ -106,8 +106,9 @@ def split_passage(
     """Return P(T <= t) at the times > 0 of ``question``, each by an independent splitting.
 
     A relative error of P(T <= t) above ``MOST_ERROR`` or above ``tol`` is not certified;
-    ``settings.tol`` is the error aimed at. The score is ``score_of_averaged_energy``, or least
-    action if it is None. Moments and the failure rate, which is defined for t → ∞, are not given.
+    ``settings.tol`` is the error aimed at; the error of a probability of 0 is its upper bound.
+    The score is ``score_of_averaged_energy``, or least action if it is None. Moments are NaN and
+    the failure rate, which is defined for t → ∞, is None.
 
     Raises ``NotApplicable`` if no time is > 0.
     """
@@ -143,8 +144,8 @@ def split_passage(
 def score_of_averaged_energy(system: System, question: PassageQuestion) -> ScoreFunction | None:
     """Return ln P(failure | energy, remaining time) of the averaged energy, Eq. (24).
 
-    None for a limit of another quantity than H, and if P(failure) from rest by the last time is
-    below ``LEAST_SCORE``.
+    It maps energies (m,) and times (k,) to (k, m), values at least ln 1e-300. None for a limit of
+    another quantity than H, and if P(failure) from rest by the last time is below ``LEAST_SCORE``.
     """
     if question.limit.kind != "H":
         return None

@@ -101,7 +101,7 @@ def settings_of(method: Method) -> set[str]:
 
 
 def with_settings(method: Method, settings: Mapping[str, Any]) -> Method:
-    """Return the method with those of ``settings`` that are its fields."""
+    """Return a copy of the method with the ``settings`` that are its fields; others are ignored."""
     known = settings_of(method)
     given = {key: value for key, value in settings.items() if key in known}
     return replace(method, **given)  # type: ignore[type-var]

@@ -40,9 +40,9 @@ def answers_of(
 ) -> Answers:
     """Return the answers of ``methods``, each for the observables that it gives.
 
-    ``attempts``, without refusals so far, say how they are asked. ``share``: the methods were not
+    ``attempts`` must have no refusals yet; they are added to it. ``share``: the methods were not
     named, and each runs as its ``unasked`` with this share of the work; None: they were named.
-    ``rates``: the joint densities from which impact rates follow are computed ``beside``.
+    ``rates``: ``Result.beside`` gets the joint densities from which impact rates follow.
     """
     attempts = attempts or Attempts()
     offers: list[tuple[Method, Plan | str]] = []
