@@ -64,12 +64,12 @@ class ConvergenceStudy:
 
     @property
     def ladders(self) -> list[Ladder]:
-        """Every ladder."""
+        """The ladders of all equations."""
         return [ladder for e in self.equations for ladder in e["ladders"]]
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Every level whose stated error is below the true error, or that has no number."""
+        """In words every level whose true error is NaN or above the error that it states."""
         return tuple(
             f"{ladder.equation}, {ladder.name}, {level.settings}: "
             + (
@@ -84,7 +84,7 @@ class ConvergenceStudy:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the study as ``plain`` takes it."""
+        """Return the fields for JSON, not yet converted by ``plain``."""
         own = {key: value for key, value in vars(self).items() if key != "name"}
         return {**own, "scene": self.scene.name, "limits_of_the_index": LIMITS}
 
@@ -183,7 +183,7 @@ class ConvergenceStudy:
 
 
 def chosen_routes(route: str | None, of: str | None) -> tuple[str, ...]:
-    """Return the routes asked for by name, by observable or by both; ``BadInput`` for none."""
+    """Return the routes of this name and observable, None: any; raise ``BadInput`` for none."""
     known = {name: observable for name, (_, observable, _) in EQUATIONS.items()}
     known |= {MonteCarlo().route.method: ""}
     chosen = tuple(n for n, o in known.items() if route in (None, n) and of in (None, o))

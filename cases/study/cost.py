@@ -35,7 +35,7 @@ from fpk.system.system import System
 STRIDE = 2
 """Digits from one timed tolerance to the next."""
 JUDGE = 5e-4
-"""Largest L1 error of a solution of (6) that serves as reference: a long simulation has it."""
+"""Largest L1 error of a solution of (6) that serves as reference, about a long simulation's."""
 SLOW_SOLVE = 0.4
 """Seconds of one solve beyond which a route is not refined further: the next takes up to ten times
 as long in two dimensions."""
@@ -93,7 +93,7 @@ class CostStudy:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the study as ``plain`` takes it, with the cheapest settings and crossings."""
+        """Return the fields, the cheapest settings and crossings, for JSON by ``plain``."""
         return {
             **vars(self),
             "scene": self.scene.name,
@@ -217,7 +217,7 @@ def _refusal_in(tried: list[Priced | NotTimed], equation: str) -> Iterator[None]
 
 
 def coarsest_routes(equation: Equation) -> tuple[Discretisation, ...]:
-    """Return the coarsest of every route: elements in h, and the routes by tolerance."""
+    """Return the coarsest level of every route: elements in h, and the routes by tolerance."""
     routes = [equation.to_tolerance(route, STRIDE, STRIDE) for route in equation.by_tolerance]
     return *(equation.elements(degree) for degree in ELEMENTS[1]), *routes
 
@@ -225,9 +225,10 @@ def coarsest_routes(equation: Equation) -> tuple[Discretisation, ...]:
 def equation_routes(
     equation: Equation, offered: Iterable[Discretisation], *, progress: Progress = silent
 ) -> list[Priced | NotTimed]:
-    """Check every level of every route against the reference and time it.
+    """Return the price of each route, ``offered`` by its coarsest level, refined and timed.
 
-    A route with one answer that disagrees, or without any, is named and not timed.
+    Every level is compared with the reference of ``equation``. A route with an answer that
+    disagrees, or without any, is returned as not timed.
     """
     results, offered = list[Priced | NotTimed](), list(offered)
     axis = f"numerical: L1 of p({equation.reference.name}), {equation.name}"

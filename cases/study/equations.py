@@ -73,10 +73,10 @@ def energy_density(observable: Observable, solution: Solution) -> Density:
 
 
 def errors(p: Density, reference: Density | None = None) -> dict[str, float]:
-    """Return the distances of ``p`` and of its ``FUNCTIONALS`` to ``reference``, None for zero.
+    """Return the norms of ``p`` − ``reference`` and the moduli of the errors of ``FUNCTIONALS``.
 
-    L1 is ∫|p_h − p| over all energies at which either is known, "max" the largest difference on the
-    Gauss points of both meshes.
+    ``reference`` None is zero: norms and moments of ``p`` itself. L1 is over all energies at which
+    either is known, "max" the largest difference on the Gauss points of both meshes.
     """
     panels = p.panels if reference is None else map(np.union1d, p.panels, reference.panels)
     mesh, grids = gauss_grid(list(panels))
@@ -137,7 +137,7 @@ class Equation:
         return len(self.reference.observable)
 
     def elements(self, degree: int, halvings: int = 0) -> Discretisation:
-        """Return elements of one degree, refined by bisection of the coarsest mesh."""
+        """Return elements of ``degree`` on the coarsest mesh after so many ``halvings``."""
         nodes = self.mesh(degree, halvings)
         return Discretisation(
             "h",
@@ -150,7 +150,7 @@ class Equation:
         )
 
     def degrees(self, first: int = 0) -> Discretisation:
-        """Return ``P_DEGREES`` on one mesh with the contact energies among its nodes."""
+        """Return elements of degree ``P_DEGREES[first]`` on a fixed mesh, refined by degree."""
         degree, finer = P_DEGREES[first], partial(self.degrees, first + 1)
         solve = partial(solve_on, self.process, self.mesh(4, 1), degree, self.solver)
         name, words = "p on a fixed mesh", f"p = {degree}"
@@ -164,9 +164,9 @@ class Equation:
         return Discretisation("tol", route.label, f"tol = {tol:.0e}", solve, finer, promised=tol)
 
     def study(self, first: Discretisation, tolerances: int = TOLERANCE_DIGITS) -> Study:
-        """Return the study of the family of ``first``; of a route by tolerance so many levels.
+        """Return the study of the family of ``first``, by tolerance with ``tolerances`` levels.
 
-        Galerkin duality doubles the order of moments.
+        Theory: norms of order degree + 1, moments of order 2 · degree by Galerkin duality.
         """
         count = {"h": MESHES[self.dimension], "p": len(P_DEGREES)}.get(first.family, tolerances)
         orders = dict[str, float]()
@@ -202,7 +202,7 @@ class Equation:
         return {key: (relative + 2.0 * cut["L1"]) * size + cut[key] for key, size in sizes.items()}
 
     def mesh(self, degree: int, halvings: int) -> tuple[Array, ...]:
-        """Return the nodes of each axis of the coarsest mesh of a degree after so many halvings.
+        """Return the nodes of each axis of the coarsest mesh of ``degree`` after ``halvings``.
 
         The nodes of one energy are equidistant, with the contact energies among them; the nodes of
         two energies are equidistant in √H and are halved in it.
@@ -220,7 +220,7 @@ class Equation:
 def solve_on(
     process: Process, nodes: tuple[Array, ...], degree: int, solver: str = "fem"
 ) -> Solution:
-    """Return the solution by elements of one degree on a given mesh."""
+    """Return the solution by elements of ``degree`` on the mesh of these ``nodes`` of each axis."""
     slow = solver == "scikit-fem"
     if len(nodes) == 1:
         own = null_vectors if slow else None

@@ -110,9 +110,11 @@ def price_schemes(
     unit: str = "",
     progress: Progress = silent,
 ) -> tuple[list[Priced | NotTimed], list[Law]]:
-    """Measure the schemes: one run of each, and by its law the cheapest (dt, N) for each error.
+    """Return the price of the full system by every scheme, and the laws that agree with a run.
 
-    The law of a scheme is from the largest step at which it holds; a baseline may have none.
+    A scheme is run at its largest stable step or halves of it, until its law agrees with the
+    distance to ``reference``; the law then prices the cheapest (dt, N) for each error. Without
+    agreement it is not timed, which is no failure of a baseline: a scheme other than the default.
     ``unit`` is the scene's unit of time in words, ``seed`` the seed of the simulations.
     """
     results: list[Priced | NotTimed] = []
@@ -196,7 +198,7 @@ def _law(
 def price_averaged_simulation(
     system: System, equation: Equation, *, seed: int
 ) -> Priced | NotTimed:
-    """Return the price of the simulation of (24), run once with ``seed``."""
+    """Return the price of simulating (24), run once and compared with ``equation.reference``."""
     p = equation.reference
     method = AveragedSimulation("nonintegrable", seed=seed, threads=1, paths=FEWEST)
     result, seconds = time_call(lambda: method.solve(system, [p.observable]))

@@ -173,7 +173,7 @@ class Study:
             )
 
     def ladder(self) -> Ladder:
-        """Return all levels with their observed orders, of two equal sizes only the first level."""
+        """Return all levels and orders; tolerances that take no more unknowns are left out."""
         levels = [level for _, level in self.levels()]
         if self.first.family == "tol":  # two tolerances with the same answer are one level
             most = np.maximum.accumulate([0, *(level.unknowns for level in levels)])
@@ -209,7 +209,8 @@ def timing(
 ) -> dict[str, Any]:
     """Return the times of ``work`` as fields of ``Level``; its first call took ``first`` seconds.
 
-    ``coefficients`` are those that it evaluates, if the part spent in them is to be measured.
+    Above ``LONG_RUN`` ``work`` is not called, and ``first`` is the only time. ``coefficients``: the
+    coefficients that ``work`` evaluates, if the time spent in them is to be measured.
     """
     if first > LONG_RUN:
         return {"seconds": first}

@@ -25,7 +25,7 @@ from fpk.system.system import System
 from sim.sample.settings import LEAST_PATHS
 
 PRICED_DIGITS = tuple(range(1, 11))
-"""Digits that are priced."""
+"""Digits d of the errors 10^−d that are priced."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
 
 
 def by_equation(routes: Sequence[Priced]) -> dict[str, list[Priced]]:
-    """Return the routes of every equation."""
+    """Return the routes by the name of their equation."""
     equations = dict.fromkeys(route.equation for route in routes)
     return {name: [route for route in routes if route.equation == name] for name in equations}
 
@@ -233,9 +233,9 @@ def _rate(
 
 
 def _price_sampling(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
-    """Return the rate by the fewest paths, and the price of other errors.
+    """Return the level of ``LEAST_PATHS``, and modelled levels of relative errors 0.1 to 1e-4.
 
-    The square of the error falls with the time.
+    Error² falls as 1/time. Each level stands beside the one rate ``rate_at(None)``.
     """
     rate, seconds = time_call(partial(rate_at, None))
     error = _relative(rate)

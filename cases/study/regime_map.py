@@ -61,7 +61,7 @@ class RegimeMap:
         return self.sweep.problems
 
     def record(self) -> dict[str, Any]:
-        """Return the record of ``fpk regime`` as ``plain`` takes it."""
+        """Return what ``fpk regime`` writes as JSON, not yet converted by ``plain``."""
         swept = self.sweep.record()
         own = {key: swept[key] for key in ("scene", "axes", "reused", "seconds")}
         return {**own, "observable": observable_name(self.observable), "points": self.points}
@@ -157,10 +157,11 @@ class RegimeMap:
 
 
 def build_map(scene: Scene, vary: Sequence[str], **settings: Any) -> RegimeMap:
-    """Return the map of the scene's first displacement, one in a pair if no other is observed.
+    """Return the map of the scene's first displacement, else of its first observable.
 
-    ``vary``, the ``settings`` ``simulation``, ``reference``, ``folder`` and ``progress`` and the
-    exceptions are documented in ``sweep``.
+    A displacement of a pair is taken if no displacement is observed alone. ``vary``, the
+    ``settings`` ``simulation``, ``reference``, ``folder`` and ``progress`` and the exceptions are
+    documented in ``sweep``.
     """
     displacements = [c for o in sorted(scene.observables, key=len) for c in o if c.kind == "q"]
     observable = tuple(displacements[:1]) or scene.observables[0]
@@ -194,7 +195,7 @@ def build_map(scene: Scene, vary: Sequence[str], **settings: Any) -> RegimeMap:
 def winner_of(distances: dict[str, tuple[float, float]]) -> str:
     """Return the theory with the smaller distance, if the difference exceeds both errors.
 
-    ``distances`` have (L1, error) by theory. Else ``UNDECIDED``, or ``NEITHER`` of no theory.
+    ``distances`` have (L1, error) by theory. Else ``UNDECIDED``; ``NEITHER`` if empty.
     """
     if not distances:
         return NEITHER

@@ -40,9 +40,9 @@ REFERENCE_RELAXATIONS = 200.0
 SEED_STEP = 7919
 """Added to the seed for the reference, which must be independent of the runs that it judges."""
 SECONDS = 10.0
-"""Processor time that the steps of one scheme may take if the resolution asked for needs more."""
+"""Seconds of processor time for the runs of one scheme; fewer if the pilot resolves the order."""
 SHARE_OF_A_TRIAL = 0.2
-"""Share of that time that a trial of one step may take; a slower scheme is not studied."""
+"""Share of ``SECONDS`` that a trial of one step may take; a slower scheme is not studied."""
 LEVELS, FEW_LEVELS = 5, 4
 """Number of steps of a study; the second if they are small, as each then takes long, and for the
 study in samples, each level of which takes four times as long."""
@@ -62,7 +62,11 @@ KNOWN_LIMIT_ERROR = 1e-6
 
 
 class Reference(NamedTuple):
-    """Density of the full system by functions, as its method gave it, and the method in words."""
+    """The density of the full system that answers are compared with.
+
+    ``words`` name its method; ``given`` is its answer; ``density`` is the same, or the fit to it if
+    it is sampled.
+    """
 
     words: str
     density: Density
@@ -219,7 +223,7 @@ class WeakOrder:
 
     @property
     def beyond(self) -> bool:
-        """Whether the best fit is at an end of the orders tried: no order is known."""
+        """Whether ``order_error`` reaches an end of ``ORDERS``: no order is known."""
         low, high = self.order_error
         return bool(low <= ORDERS[0] or high >= ORDERS[-1])
 

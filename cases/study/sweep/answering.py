@@ -35,7 +35,7 @@ one displacement is about 0.001."""
 REFERENCE_TOL = 2e-4
 """L1 tolerance of a reference that is not sampled: a fifth of the error of the simulation."""
 REFERENCE_SHARE = 3.5
-"""Work that such a reference may take, about a minute, over the work of an unasked route."""
+"""Work of a reference that is not sampled, about a minute, over the work of an unasked route."""
 
 
 def sweep_point(
@@ -86,7 +86,11 @@ def _values(
     quantities: Sequence[Definition],
     reference: Callable[[Observable], tuple[str, AnyDensity, tuple[str, ...]]],
 ) -> Iterator[Value]:
-    """Yield the quantities by one method, which solves for all their densities together."""
+    """Yield each of ``quantities`` by the method ``name``, with a reason if it has no value.
+
+    ``methods`` are its solvers in the order in which they are tried, each for all densities
+    together; ``reference`` returns route, density and failed checks of the full system.
+    """
     averaged = methods[0].route.solves == "averaged"
     own = [q for q in quantities if averaged or q.kind != AVERAGING]
     crossed = [q for q in own if q.kind == UPCROSSING]

@@ -20,7 +20,7 @@ from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
 GRID_POINTS = 2000
-"""Points of a grid; each is a simulation of about a second."""
+"""Largest number of points of a grid; each may be a simulation of about a second."""
 WIDE = 30.0
 """Ratio of the ends of a list of values from which its axis is logarithmic."""
 GRID_FORMS = "low:high:count, low:high:logCOUNT for equal ratios, or a list such as 0.1,0.2"

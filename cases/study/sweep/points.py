@@ -64,7 +64,7 @@ class SweepPoint:
 
     @classmethod
     def read(cls, record: Record) -> "SweepPoint":
-        """Return the point of its record in JSON."""
+        """Return the point that ``record``, read from its JSON line, describes."""
         own = [Value(**{**r, "failures": tuple(r["failures"])}) for r in record["answers"]]
         return cls(tuple(record["values"]), tuple(own), record["seconds"])
 

@@ -91,7 +91,7 @@ class Sweep:
         )
 
     def record(self) -> Record:
-        """Return the record of ``fpk sweep`` as ``plain`` takes it."""
+        """Return what ``fpk sweep`` writes as JSON, not yet converted by ``plain``."""
         own = {key: value for key, value in vars(self).items() if key != "scene"}
         axes = [{"key": a.key, "unit": a.unit or None, "values": a.values} for a in self.axes]
         own["units"] = [unit or None for unit in self.units]
