@@ -21,7 +21,7 @@ def exact_system(contacts=(), *, mass=(1.0, 2.0), h=2.0):
 
 
 def chain(n, contacts=(), **more):
-    """n unit masses and springs at the temperature ½: k_eff of the last mass is 1/n."""
+    """n unit masses and springs, D/c = ½ at each: the static stiffness at the last mass is 1/n."""
     ones = np.ones(n)
     return System(ones, ones, 0.1 * ones, 0.05 * ones, contacts=contacts, **more)
 

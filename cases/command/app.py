@@ -20,19 +20,19 @@ from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, Unavailable
 
 WIDEST = 10_000
-"""Largest width of a help text in columns, beyond any terminal."""
+"""Largest width of a help text in columns: no terminal is wider."""
 
 
 class Commands(click.Group):
     """All commands, including commands of questions and studies that are registered later."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of a name, None if there is none."""
+        """Return the command ``cmd_name``, None if there is none; ``ctx`` is click's context."""
         command = super().get_command(ctx, cmd_name) or dynamics.command_of(cmd_name)
         return command or studies.command_of(cmd_name)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands."""
+        """Return the names of all commands in alphabetical order."""
         own = [name for name in QUESTIONS if dynamics.command_of(name)]
         return sorted({*super().list_commands(ctx), *own, *STUDIES})
 
@@ -151,7 +151,7 @@ for _name, _lines in EXAMPLES.items():
 
 
 def run_app() -> None:
-    """Run the command line; everything a user can get wrong ends in one line and status 2."""
+    """Run the command line, then exit; a user's mistake ends in one line with the status 2."""
     # What the libraries allocate stays: to look for garbage in it again and again while they are
     # imported, and once more at the end, takes a fifth of the time of a short command.
     gc.set_threshold(100_000, 50, 50)

@@ -26,7 +26,7 @@ LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
 
 
 def observable_option(words: str) -> Any:
-    """Return the option ``--of`` that says in ``words`` what it takes."""
+    """Return the required option ``--of`` of click, with the help text ``words``."""
     return click.option(
         "--of", metavar="OBS", required=True, help=words, shell_complete=completed.observables
     )
@@ -44,11 +44,10 @@ MEMORY = click.option(
 
 @dataclass(frozen=True)
 class Asked:
-    """The scene, the method and what the user set for it.
+    """The scene, the method and the options that the user set for it.
 
     ``solver`` None: any of the method's. ``tol``: the tolerance of the answer, None for the
-    method's own. ``settings``: values of further fields of the method, as its seed, None where the
-    user gave none.
+    method's own. ``settings``: further fields of the method by name, None if the user gave none.
     """
 
     scene: "Scene"
@@ -66,14 +65,13 @@ class Asked:
         text: Callable[["Record"], str],
         **settings: Any,
     ) -> None:
-        """Print the answer ``work(method, tol=, progress=)``; status 1 where it is not certified.
+        """Print the answer ``work(method, tol=, progress=)``; status 1 if it is not certified.
 
         ``about`` names this answer in problems. ``given`` are the entries of the record that repeat
-        the ``question``, ``text`` the record in words. The first solver of the method that answers
-        is taken, unless a solver was asked for; ``settings`` are further settings of the method.
-
-        Raises ``BadInput`` for a method that does not answer the question or lacks one of the
-        settings, or with the first reason why it does not apply.
+        the ``question``, ``text(record)`` returns the words to print. The first solver that answers
+        is used, or ``solver`` alone; ``settings`` are further settings of the method. Raises
+        ``BadInput`` for a method that does not answer the question, does not apply, or lacks one
+        of the settings, and ``click.exceptions.Exit(1)`` for the status.
         """
         from cases.show.records import answer_record, equation_words
         from cases.show.words import reader_words
@@ -90,7 +88,7 @@ class Asked:
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, str, float]:
-        """The method that answers, its answer, a note on its tolerance, the seconds."""
+        """The method that answers, its answer, a note or "", wall seconds; raises ``BadInput``."""
         from cases.compare.routes import all_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 
@@ -120,7 +118,7 @@ class Asked:
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
 
     def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, str]:
-        """The answer at ``tol``; without it at the default, loosened with a note as in a run."""
+        """The answer ``ask(tol=self.tol)``, or at the default, and a note if that is loosened."""
         from cases.compare.attempts import loosen_tolerance
 
         if self.tol is not None:
@@ -129,9 +127,10 @@ class Asked:
 
 
 def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
-    """Make a command of ``work``, which takes an ``Asked`` and the ``options`` that it names.
+    """Return a decorator that makes a command of a function ``work(Asked, …)``.
 
-    All other options are settings of the method; scene, method, solver and ``--json`` are added.
+    ``options`` of click, with ``--tol`` among them, are passed to ``work`` if it has a parameter of
+    this name, else as ``Asked.settings``; scene, method, solver and ``--json`` are added.
     """
 
     def command_of(work: Callable[..., None]) -> click.Command:

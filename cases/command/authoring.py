@@ -109,6 +109,6 @@ def completion(context: click.Context, shell: str) -> None:
 
 
 def require_free(path: Path) -> None:
-    """Raise ``BadInput`` where there is something at ``path``: what one wrote is not replaced."""
+    """Raise ``BadInput`` if a file, folder or link exists at ``path``: it is not overwritten."""
     if path.exists() or path.is_symlink():
         raise BadInput(f"{path}: is there already, and is not overwritten; give another --out")

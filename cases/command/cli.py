@@ -7,13 +7,12 @@ from types import FrameType
 from typing import Any
 
 LINEAR_ALGEBRA = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "OMP")}
-"""Small matrices gain nothing from more threads, which wait for each other where another program
-runs: a density of four contact masses took 10 minutes instead of half a minute. What the user's
-environment says holds."""
+"""Environment variables set unless the user has: one thread for linear algebra. Small matrices gain
+nothing from more, and if another program runs, these wait for each other."""
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it in one line and status 130."""
+    """Run the command line and exit with its status; Ctrl-C ends it in one line and status 130."""
     os.environ.update(LINEAR_ALGEBRA | os.environ)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, answer_interrupt)
@@ -29,13 +28,14 @@ def main() -> None:
 
 
 def answer_interrupt(number: int, frame: FrameType | None) -> None:
-    """Answer Ctrl-C: nobody waits for what is being compiled, the main thread is interrupted."""
+    """Handle the signal of Ctrl-C: raise ``KeyboardInterrupt`` here, and in threads that wait for
+    numba to compile. Arguments as of any signal handler."""
     getattr(sys.modules.get("fpk.numeric.compiling"), "abandon", bool)()
     signal.default_int_handler(number, frame)
 
 
 def end(status: Any) -> None:
-    """Exit with ``status``, at once where a function is still being compiled for nobody."""
+    """Exit with ``status``, at once if a compilation that Ctrl-C has abandoned still runs."""
     if getattr(sys.modules.get("fpk.numeric.compiling"), "abandoned", ()):
         sys.stdout.flush()
         sys.stderr.flush()

@@ -9,14 +9,15 @@ from fpk.numeric.errors import InvalidInput
 
 
 def scenes(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the shipped scenes that begin so, and files."""
+    """Return the shipped scenes that begin with ``begun``, and an entry that completes files."""
     from cases.scene.scene import shipped_scenes
 
     return [*_beginning(shipped_scenes(), begun), CompletionItem(begun, type="file")]
 
 
 def methods(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the names of methods, with a solver once there is a ``/`` where several are taken."""
+    """Return the methods that begin with ``begun``; "method/solver" if it has a ``/`` and the
+    option may be given several times."""
     from cases.compare.routes import all_routes
 
     routes = all_routes()
@@ -26,7 +27,7 @@ def methods(context: click.Context, option: click.Parameter, begun: str) -> list
 
 
 def solvers(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the solvers of the method that is typed already, else of all."""
+    """Return the solvers, of the method typed before if any, that begin with ``begun``."""
     from cases.compare.routes import all_routes
 
     method = context.params.get("method")
@@ -36,7 +37,8 @@ def solvers(context: click.Context, option: click.Parameter, begun: str) -> list
 def observables(
     context: click.Context, option: click.Parameter, begun: str
 ) -> list[CompletionItem]:
-    """Return the coordinates of the scene that is typed already; nothing without one."""
+    """Return the coordinates of the scene typed before that begin with ``begun``; without a valid
+    scene none. Pairs are not completed."""
     from cases.scene.errors import BadInput
     from cases.scene.scene import load_scene
 
@@ -51,7 +53,7 @@ def observables(
 
 
 def laws(context: click.Context, option: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Return the contact laws."""
+    """Return the contact laws that begin with ``begun``."""
     from fpk.system.contact_law import LAWS
 
     return _beginning(sorted(LAWS), begun)

@@ -169,7 +169,7 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
 
 
 def _times(text: str | None) -> Any:
-    """Return the times that ``text`` lists, none where there is no text."""
+    """Return the times in ``text``, none for None; ``BadInput`` unless they ascend from >= 0."""
     import numpy as np
 
     from cases.scene.points import parse_points

@@ -49,4 +49,4 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         " --vary contact.clearance=0.1:2:5 --out out/map",
     ),
 }
-"""Lines of a shell by command."""
+"""Lines to type in a shell, by the name of the command."""

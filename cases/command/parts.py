@@ -39,7 +39,7 @@ class NonEmptyPath(click.Path):
 FOLDER = NonEmptyPath(path_type=Path)
 
 FIELDS = "result.nc"
-"""File of the fields of a run, in its folder."""
+"""Name of the netCDF file of a run in its folder."""
 
 NARROWEST = 40
 """Columns of the narrowest terminal for which lines are wrapped."""
@@ -102,9 +102,10 @@ def command_line() -> str:
 
 
 def load_checked(scene: str, *, tol: float | None = None, out: Path | None = None) -> "Scene":
-    """Load the scene, check the tolerance ``tol``, make the folder: refusals precede any work.
+    """Return the scene of this name or path; check ``tol``, and make and lock the folder ``out``.
 
-    The folder ``out`` is locked for this command until it ends.
+    The lock ends with the command. Raises ``BadInput`` for a scene, tolerance or folder that cannot
+    be used, ``Unavailable`` if another command writes to the folder.
     """
     from cases.scene.scene import load_scene
 
@@ -122,7 +123,7 @@ def load_checked(scene: str, *, tol: float | None = None, out: Path | None = Non
 
 
 def observable_of(name: str, scene: "Scene") -> "Observable":
-    """Return the observable ``name`` of ``--of``; raise ``BadInput`` if it is not in the scene."""
+    """Return the observable ``name`` of ``--of``; ``BadInput`` if the scene's system has none."""
     from fpk.answer.names import parse_observable
 
     observable: Observable = read("of", name, lambda: parse_observable(name, scene.system.n))
@@ -138,10 +139,11 @@ def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
 
 
 def only_observables(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
-    """Return the scene with the observables of ``names`` alone, without its questions in time.
+    """Return a copy of the scene with the observables ``names`` alone, without questions in time.
 
     Without ``names`` both stay. ``whole``: all routes run; only then the scene's claims, which are
-    about all routes and observables, stay, and its own densities must be given.
+    about all routes and observables, stay, and its own densities must be given. Raises
+    ``BadInput`` for a name of no observable.
     """
     if names:
         observables = tuple(dict.fromkeys(observable_of(name, scene) for name in names))
@@ -152,7 +154,7 @@ def only_observables(scene: "Scene", names: Sequence[str], *, whole: bool) -> "S
 
 
 def checkpoint_folder(scene: "Scene", settings: Mapping[str, Any]) -> None:
-    """Lock the folder ``settings["checkpoint"]``, if not None, until the command ends."""
+    """Call ``claim_folder`` for ``settings["checkpoint"]``, if not None, until the command ends."""
     if settings["checkpoint"] is None:
         return
     from cases.show.claim import claim_folder
@@ -171,9 +173,10 @@ def end(
     problems: Sequence[str] = (),
     quiet: bool = False,
 ) -> None:
-    """Print ``record`` as one JSON object with ``--json``, else the text and the files written.
+    """Print ``record`` as one JSON object with ``--json``, else ``text()`` and the files written.
 
-    ``quiet``: no text. Problems go to standard error; with any the exit status is 1.
+    ``quiet``: neither text nor files. Each of ``problems`` is a line on standard error; with any,
+    ``click.exceptions.Exit(1)`` is raised.
     """
     if click.get_current_context().meta["json"]:
         own = with_plain_keys({"schema": SCHEMA, **record})
@@ -190,7 +193,7 @@ def end(
 
 
 def with_plain_keys(record: Any) -> Any:
-    """Return the record with all keys in snake_case and ASCII, except the norms ``L1``, ``L2``.
+    """Return a copy with all keys, at any depth, in snake_case and ASCII, except ``L1``, ``L2``.
 
     ``E q1²`` becomes ``mean_q1_squared``; keys that would coincide stay as they are.
     """
@@ -236,7 +239,7 @@ def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
 
 
 def check_cluster(address: str | None) -> None:
-    """Raise ``BadInput`` or ``Unavailable`` if no Dask cluster answers at ``address``."""
+    """Raise ``BadInput`` or ``Unavailable`` if no Dask cluster answers at ``address``, if given."""
     if address is not None:
         from sim.sample.workers import workers_of
 

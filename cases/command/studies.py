@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     from fpk.answer.method import Method
 
 USUAL, COARSE, COARSE_PATHS = 38.0, 5.0, 4096
-"""Relaxation times sampled on a path: a quarter of what ``fpk run`` takes. Bands are from the
-sample itself, so that a shorter simulation judges less sharply, never wrongly."""
+"""Relaxation times sampled on each path by ``fpk verify`` and with ``--coarse``, and the paths with
+``--coarse``. ``fpk run`` takes four times the first: a shorter simulation has wider bands."""
 VERIFY_SECONDS = 300.0
-"""Seconds after which ``fpk verify`` cuts the simulations of a scene that are expected to need more
-(twice as much as the slowest shipped scene but two); an answer that is cut fails and says so."""
+"""Seconds that ``fpk verify`` gives to a simulation of a scene whose simulations are expected to
+need more in all (twice the third slowest shipped scene); an answer that is cut fails."""
 FULL_WORK = 5e10
 """Largest number of multiplications of a solution of the full equation: about a second, with an
 error below the sampling error."""
 
 
 def study(work: Callable[..., Any]) -> click.Command:
-    """Make the command of a study; ``work`` takes the scene, a progress callback and its options.
+    """Return the command of a study ``work(scene, progress=…, **options)``.
 
-    It returns a result with ``record()``, ``page()`` and ``problems``. Options that are not given
-    are not passed on: the defaults of the work itself hold.
+    ``work`` returns a result with ``record()``, ``page()`` and ``problems``. Options that the user
+    leaves out are not passed on: the defaults of ``work`` hold.
     """
 
     @click.command()
@@ -72,7 +72,7 @@ def study(work: Callable[..., Any]) -> click.Command:
 
 
 def command_of(name: str) -> click.Command | None:
-    """Return the command of a registered study, None where there is none."""
+    """Return the command of the study registered as ``name`` in ``STUDIES``, else None."""
     own = STUDIES.get(name)
     if own is None:
         return None
@@ -144,7 +144,7 @@ over_grid = parts.with_options(
 
 
 def _over_grid(settings: dict[str, Any]) -> dict[str, Any]:
-    """The arguments of a study over a grid, from ``settings`` by the options ``over_grid``."""
+    """The arguments of a study over a grid from ``settings``, from which entries are removed."""
     from cases.study.sweep.answering import SIMULATION
 
     own = ("reference", "progress", "tol")
@@ -243,7 +243,8 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
 
 
 def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method"]:
-    """Return ``methods``, simulations limited to ``VERIFY_SECONDS`` if they would exceed it."""
+    """Return ``methods``, each simulation limited to ``VERIFY_SECONDS`` if all, over all curves of
+    the scene, are expected to take longer."""
     from sim.montecarlo import MonteCarlo
     from sim.sample.settings import estimate_seconds
 

@@ -12,15 +12,19 @@ from numba.core import event
 from fpk.answer.method import Progress, silent
 
 BAR_AFTER = 1.0
-"""Seconds before a bar appears."""
+"""Seconds after the start of ``progress_bar`` from which bars are drawn."""
 
 CLEAR = "\r\x1b[K\x1b[?25h"
-"""Empties the line of a terminal, and shows the cursor, which a bar hides."""
+"""Control characters that empty the current line of a terminal and show the cursor again, which a
+bar hides."""
 
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Yield a progress callback: on a terminal it draws the bar of the present task."""
+    """Return a context with a callback ``(done, total, what)`` that draws a bar for each ``what``.
+
+    The bars, and words while numba compiles, are on standard error, if that is a terminal.
+    """
     if not sys.stderr.isatty():
         yield silent
         return
@@ -42,12 +46,12 @@ def progress_bar() -> Iterator[Progress]:
 
 
 class _Compiling(event.Listener):
-    """Says that something is being compiled, which takes a while and happens once."""
+    """Listener to numba that says on standard error when a function is being compiled."""
 
     def on_start(self, event: Any) -> None:
-        """Say so in the line of the bar."""
+        """Replace the line of the bar by words; ``event`` is not used."""
         sys.stderr.write(f"{CLEAR}compiling, this once")
         sys.stderr.flush()
 
     def on_end(self, event: Any) -> None:
-        """Leave the words to the next bar, which is drawn over them."""
+        """Do nothing: the next bar is drawn over the words."""

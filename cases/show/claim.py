@@ -16,11 +16,12 @@ from sim.sample.workers import program_checksum
 
 @contextmanager
 def claim_folder(folder: Path | None, identity: Record) -> Iterator[None]:
-    """Lock ``folder`` for this process, which stores states or points there; None locks nothing.
+    """Return a context in which this process alone stores states or points in ``folder``.
 
-    ``run.json`` names all they depend on: ``identity`` in the form of ``canonical``, the version
-    and the sources of the program. Raises ``Unavailable`` if another process uses the folder,
-    ``BadInput`` if the folder is another run's.
+    None: nothing is done. The folder is made if missing, and its file ``run.json`` with all that
+    the stored results depend on: ``identity``, the version and a checksum of the program's sources.
+    Raises ``Unavailable`` if another process uses the folder, ``BadInput`` if its ``run.json``
+    differs or it cannot be written.
     """
     if folder is None:
         yield

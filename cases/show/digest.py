@@ -1,4 +1,4 @@
-"""The record of a run, from which all that is shown is written, and that of many, the gate's."""
+"""Records: of a run, from which its text, page and JSON are written, and of ``fpk verify``."""
 
 from collections.abc import Iterable
 
@@ -21,11 +21,15 @@ from fpk.answer.names import observable_name
 from sim.sample.diagnostics import Report
 
 ROW = ("observable", "measures", "norm", "L1", "band", "error")
-"""Fields of a comparison that its row has as they are."""
+"""Fields of ``Comparison`` that ``comparison_rows`` copies."""
 
 
 def digest_of(outcome: Outcome) -> Record:
-    """Return the record of ``fpk run``: the scene's own system, and beside it the other curves."""
+    """Return the record of ``fpk run``, with plain values as JSON has them.
+
+    The scene's own system is at the top level, the others in ``curves``. ``judged`` is the number
+    of comparisons that have an allowed difference.
+    """
     base, *others = outcome.curves
     key, units = outcome.scene.curves[0].key, outcome.scene.units
     compared = [c for curve in outcome.curves for c in curve.comparisons]
@@ -51,9 +55,10 @@ def digest_of(outcome: Outcome) -> Record:
 
 
 def curves_of(digest: Record) -> list[Record]:
-    """Return the part of every curve, by the number that they vary, ascending.
+    """Return the records of all curves in ``digest``, by ascending ``value``, the varied number.
 
-    Where that is no number they stay as they are: the scene's own system, then the order written.
+    The record of the scene's own system is ``digest`` itself. Without numbers it comes first, then
+    the others in the order of the scene.
     """
     return sorted([digest, *digest["curves"]], key=lambda curve: curve["value"] or 0.0)
 
@@ -107,9 +112,9 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
 
 
 def _replies(replies: Replies, units: Units) -> Record:
-    """The entry of a question: it, who answers what and who does not, and the comparisons.
+    """The record of a question about motion in time: answers, comparisons, refusals (``methods``).
 
-    The densities of a transient are in the files only.
+    The densities of a transient are not in it: they are in the netCDF file only.
     """
     question = replies.question
     if isinstance(question, TransientQuestion):
@@ -138,13 +143,13 @@ def _replies(replies: Replies, units: Units) -> Record:
 
 
 def _names(route: Route) -> Record:
-    """The names of a route, and which equation it solves: ``full`` or ``averaged``."""
+    """The label (``route``), method and solver of a route, and ``solves``: full or averaged."""
     names = {"route": route.label, "method": route.method, "solver": route.solver}
     return {**names, "solves": route.solves}
 
 
 def method_record(result: Result) -> Record:
-    """Return the entry of a route that was taken."""
+    """Return the record of a route that answered: names, seconds, settings, errors of densities."""
     report = result.report if isinstance(result.report, Report) else None
     return {
         **_names(result.method.route),
@@ -165,15 +170,16 @@ def method_record(result: Result) -> Record:
 
 
 def refusal_record(refusal: Refusal) -> Record:
-    """Return the entry of a route that was not taken."""
+    """Return the record of a route that gave no answer: its names and the fields of ``refusal``."""
     own = {key: value for key, value in vars(refusal).items() if key != "route"}
     return {**_names(refusal.route), "applies": False, **own}
 
 
 def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
-    """Return the rows, ``repeats`` where an earlier row has what separates the two theories.
+    """Return a row for each comparison: fields ``ROW``, labels ``a`` and ``b``, and ``holds``.
 
-    It is the same by every solver of a theory, as the numerical rows show.
+    ``repeats``: the row is an averaging error, and an earlier row has the same observable and
+    theories by other solvers, whose answers are nearly equal.
     """
     first: dict[tuple[str, ...], Comparison] = {}
     rows = []
@@ -186,9 +192,10 @@ def comparison_rows(comparisons: Iterable[Comparison]) -> list[Record]:
 
 
 def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
-    """Return the entry of a quantity by one route, with its ``unit`` where units have names.
+    """Return the record of a quantity by one route, with its value, error and names.
 
-    Its ``name`` is the argument of ``fpk sweep``.
+    ``label`` is for readers, ``name`` the argument of ``fpk sweep --quantity``. The key ``unit`` is
+    missing if ``units`` have no names.
     """
     unit = units.number(quantity.quantity, quantity.observable)
     level = quantity.definition.kind == "exceedance" and units.number("", quantity.observable)
@@ -207,10 +214,10 @@ def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
 
 
 def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Record]:
-    """Return each averaged theory's L1 distance to the full system in one observable.
+    """Return a row with the ``L1`` distance to the full system for each averaged theory.
 
-    With what chance and solvers make of it, by the answer for the full system (``reference``) with
-    which this is least.
+    ``name`` is the observable's. ``error`` is the part of L1 that sampling and solvers explain; of
+    several answers for the full system the ``reference`` is the answer with the least ``error``.
     """
     averaging: dict[str, Record] = {}
     for c in sorted(comparisons, key=lambda c: c.error):
@@ -223,12 +230,12 @@ def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Recor
 
 
 def _theory(route: Route) -> str:
-    """A theory's solvers by one name; its simulation is another route to it."""
+    """The method of a route, which all its solvers share, or the label of a route that samples."""
     return route.label if route.sampled else route.method
 
 
 def verify_row(digest: Record) -> Record:
-    """Return the row of ``fpk verify`` for a scene; a curve without a judged comparison fails."""
+    """Return the row of ``fpk verify``; a curve without a judged comparison is a problem, too."""
     curves = curves_of(digest)
     unjudged = [
         f"{curve['label'] or digest['scene']}: no comparison was judged"

@@ -24,17 +24,17 @@ from sim.montecarlo import MonteCarlo
 from sim.sample.settings import estimate_seconds
 
 MODES_SHOWN = 50
-"""Modes whose damping, shape and boundaries are given: boundaries of more take a time of n³."""
+"""Largest number of modes whose damping, shape and boundaries are given: time grows as n³."""
 MASSES, LINEAR_MASSES = 3, 50
-"""Masses of a chain with one contact mass, and of one without contacts, up to which the rms of
-every displacement is given: a second. In longer chains, and where the damping depends on the
-state beside a contact, that of the one in contact."""
+"""Largest numbers of masses, with one contact mass and without contacts, for which the rms of every
+displacement is computed, in about a second. Otherwise, and for damping that depends on the state
+beside a contact, only the rms of the contact mass."""
 RMS_METHODS = ("linear", "exact", "nonintegrable")
-"""Routes to the rms of a displacement, those exact for (6) before; the first that applies."""
+"""Methods for the rms of a displacement; the first that applies is used. Two are exact for (6)."""
 
 
 def show_record(scene: Scene) -> Record:
-    """Return the record of ``fpk show``."""
+    """Return the record of ``fpk show`` as plain values: system, modes, rms, theories, units."""
     facts, rms = facts_record(scene.system), rms_record(scene.system)
     regime, routes = facts["regime"], {route.label: route for route in all_routes()}
     averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
@@ -58,10 +58,10 @@ def show_record(scene: Scene) -> Record:
 
 
 def units_record(scene: Scene) -> Record | None:
-    """Return the units for JSON, also of the stiffness B of every contact; None without names.
+    """Return the units by quantity for JSON; None if the scene names no units.
 
-    The unit of the noise intensity D is empty if a noise gain is given: gains may have a
-    dimension of their own, and the unit of D depends on it.
+    ``contact_stiffness`` lists the unit of B of each contact. The unit of the noise intensity D is
+    empty if a noise gain is given: it depends on the dimension of the gain.
     """
     record = scene.units.record()
     if record is not None:
@@ -77,7 +77,8 @@ def check_record(scene: Scene) -> Record:
     """Return the record of ``fpk check``: sizes, theories, questions, estimated seconds of a run.
 
     ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
-    system has none, and is None if it has a stationary state.
+    system has none, and is None if it has a stationary state. ``simulation_seconds`` is None if
+    the simulation is refused, for the reason in ``simulation_refusal``.
     """
     listed = theories(scene)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
@@ -111,7 +112,8 @@ def facts_record(system: System) -> Record:
     """Return the system, its effects, and its regime: the facts that decide between the theories.
 
     Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails; None if it
-    holds.
+    holds. ``contacts_negligible``: the rule of section 6.3 allows neglecting every contact; None if
+    the motion without contacts is not stationary.
     """
     effects, stops = effects_of(system), system.fact(stop_clearances)
     beyond = [stop.beyond_rule for stop in stops]
@@ -139,9 +141,11 @@ def facts_record(system: System) -> Record:
 
 
 def theories(scene: Scene) -> list[Record]:
-    """Return for every METHOD whether it applies to the scene's own system, and why not.
+    """Return a record for every method: whether it applies to the scene's own system, and why not.
 
-    ``left_out`` says why ``fpk run`` leaves out a method that applies; None if it runs the method.
+    A method applies if it gives one of the scene's observables by some solver; ``reason`` is about
+    the observables that it does not give, None if there are none. ``left_out`` says why ``fpk run``
+    leaves out a method that applies, else None.
     """
     records = []
     for name in dict.fromkeys(route.method for route in all_routes()):
@@ -177,9 +181,10 @@ def theories(scene: Scene) -> list[Record]:
 
 
 def _boundaries(system: System) -> list[Record]:
-    """The ends of the averaged energies (24) and (17), of each theory that applies.
+    """The class of each end of the averaged energies, Eqs. (24) and (17), by theories that apply.
 
-    Empty if the motion escapes, which averaged energies do not show.
+    ``process`` is the theory, beside the fields of ``BoundaryClass``. Empty if the motion escapes,
+    which averaged energies do not show.
     """
     ends: list[tuple[str, BoundaryClass]] = []
     if system.fact(escape):
@@ -198,11 +203,11 @@ def _boundaries(system: System) -> list[Record]:
 
 
 def modes_record(system: System) -> list[Record]:
-    """Return frequency, damping ratio and shape of the natural modes, the slowest first.
+    """Return frequency ω_m, damping ratio and shape of the natural modes, the slowest first.
 
-    The ratio is c*_mm/(2 ω_m), c* = Tᵀ c T with Tᵀ M T = 1: of the constant damping, without what
-    couples the modes (``coupled`` is the largest |c*_ml| beside it over √(c*_mm c*_ll)). The
-    largest component of a shape is 1.
+    The ratio is c*_mm/(2 ω_m), c* = Tᵀ c T with Tᵀ M T = 1, c the constant damping. ``coupled`` is
+    the largest |c*_ml|/√(c*_mm c*_ll) over the other modes l. The component of a shape that is
+    largest in modulus is 1. Modes beyond ``MODES_SHOWN`` are left out.
     """
     shapes, omega = natural_modes(system)
     c = shapes.T @ system.damping @ shapes
@@ -223,10 +228,10 @@ def modes_record(system: System) -> list[Record]:
 
 
 def rms_record(system: System) -> list[Record]:
-    """Return √E q_i² with its numerical error and its route; one of an averaged theory averages.
+    """Return √E q_i² with its numerical error, the label of its route and the equation it solves.
 
-    Empty where no method of ``RMS_METHODS`` applies, and where more than one mass has stops:
-    integrals that take seconds. A number that is known badly is given with its large error.
+    ``MASSES`` says for which masses. Empty if no method of ``RMS_METHODS`` applies, or if more than
+    one mass has stops: integrals that take seconds. Errors may be large.
     """
     touching = system.contact_masses
     if len(touching) > 1:

@@ -24,23 +24,24 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 
 GRID_POINTS = {1: 401, 2: 101}
-"""Points an axis of a grid, by the number of axes."""
+"""Points on each axis of a common grid, by the number of axes."""
 
 GRID_CUT = 1e-9
-"""Share of the largest value below which a density no longer widens the grid."""
+"""Share of its largest value below which a density no longer widens the common grid."""
 
 EXTENT_CELLS = {1: 200, 2: 60}
-"""Cells an axis on which the extent of a density by a function is measured, by axes."""
+"""Cells on each axis, by the number of axes, at whose middles a density that is a function is
+evaluated to measure its extent."""
 
 
 def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
     """Write the densities of every observable, curve and route on common grids as netCDF-4.
 
     ``p_q2`` (curve, route, q2) is the density and ``error_q2`` its error: an estimate of the
-    numerical error or one standard error, as ``error_kind_q2`` says; of a pair ``p_q2_p2``. A route
-    that does not apply is not a number. ``curve`` is what ``[vary]`` varies as a number, ascending,
-    with ``curve_label`` beside it. Settings and certificates are JSON in the attribute
-    ``provenance``. ``time_variables`` adds answers in time. ::
+    numerical error or one standard error, as ``error_kind_q2`` says; of a pair ``p_q2_p2``. NaN
+    stands for a missing answer. ``curve`` is the number that ``[vary]`` varies, ascending, with
+    ``curve_label`` beside it. Settings and certificates are JSON in the attribute ``provenance``.
+    ``time_variables`` adds answers in time. Returns ``[path]``; raises as ``write_by``. ::
 
         outcome = run_scene(fpk.load("fig3a"), [Exact(), NonIntegrable()])
         write_netcdf(outcome, Path("fig3a.nc"))
@@ -70,7 +71,7 @@ def write_netcdf(outcome: Outcome, path: Path) -> list[Path]:
 
 
 def attributes_of(scene: Scene) -> dict[str, str]:
-    """Return what every file of results says of its origin."""
+    """Return the attributes of a file of results: the scene, its text and units, the program."""
     return {
         "title": scene.title,
         "scene": scene.name,
@@ -82,7 +83,7 @@ def attributes_of(scene: Scene) -> dict[str, str]:
 
 
 def write_variables(variables: Variables, attributes: Mapping[str, str], path: Path) -> None:
-    """Write ``variables`` as netCDF-4, made in memory: HDF5 does not survive a full disk."""
+    """Write netCDF-4 with ``variables`` and ``attributes`` of the file; raises as ``write_by``."""
     stream = BytesIO()
     with h5netcdf.File(stream, "w") as file:
         for name, (dimensions, values, words) in variables.items():
@@ -100,7 +101,8 @@ def write_variables(variables: Variables, attributes: Mapping[str, str], path: P
 def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     """Write the densities as lines ``curve, observable, route, x, y, density, error``.
 
-    Behind them are ``unit_x, unit_y, unit_density`` where the scene names its units.
+    ``y`` is empty for one coordinate. If the scene names its units, ``unit_x, unit_y,
+    unit_density`` follow. Returns ``[path]``; raises as ``write_by``.
     """
     stream = StringIO()
     lines = csv.writer(stream, lineterminator="\n")
@@ -137,9 +139,10 @@ Each returns the paths of the files that it wrote."""
 
 
 def density_variables(all_of: Sequence[Answers], observable: Observable, units: Units) -> Variables:
-    """Return the densities of an observable on a common grid; empty if no route gives any.
+    """Return p and its error, (curve, route, x) or (curve, route, x, y), and their coordinates.
 
-    As ``write_netcdf`` says, for ``all_of`` the curves.
+    ``write_netcdf`` explains the names. ``all_of`` has the answers of each curve; the grid is
+    ``common_grid``. Empty if no route gives the observable.
     """
     answers = {
         (i, route.label): density
@@ -171,7 +174,7 @@ def variable_name(observable: Observable) -> str:
 
 
 def curve_numbers(outcome: Outcome) -> list[float]:
-    """Return what ``[vary]`` varies as one number a curve; where that repeats, 0, 1, 2, …"""
+    """Return the varied number of each curve, or 0, 1, 2, … if any is missing or repeats."""
     numbers = [curve.value for curve in outcome.curves]
     distinct = None not in numbers and len(set(numbers)) == len(numbers)
     return [number if distinct and number is not None else k for k, number in enumerate(numbers)]
@@ -180,9 +183,10 @@ def curve_numbers(outcome: Outcome) -> list[float]:
 def common_grid(
     densities: Iterable[AnyDensity], *, cut: float = GRID_CUT, count: int | None = None
 ) -> tuple[Array, ...]:
-    """Return one ascending array per axis: where any density exceeds ``cut`` of its largest.
+    """Return an ascending array of equidistant points for each axis of the ``densities``.
 
-    ``count``: points an axis; None: the number of ``GRID_POINTS``.
+    It covers all points at which one of them exceeds ``cut`` times its own largest value.
+    ``count``: points on each axis; None: ``GRID_POINTS``. All must be of the same observable.
     """
     reach = np.array([_extent(density, cut) for density in densities])
     count = count or GRID_POINTS[reach.shape[1]]
@@ -191,7 +195,7 @@ def common_grid(
 
 
 def _extent(density: AnyDensity, cut: float) -> list[tuple[float, float]]:
-    """Per axis, the interval in which the density exceeds ``cut`` of its largest value."""
+    """Per axis, the ends of the range in which p exceeds ``cut`` times its largest value."""
     if isinstance(density, SampledDensity):
         edges, values = list(density.edges), density.values
     else:

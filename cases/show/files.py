@@ -13,19 +13,20 @@ from fpk.numeric.machine import lock_file
 NOT_WRITTEN = "cannot be written", "what was there is kept; make room or give another --out"
 
 LOCK, PREFIX = ".fpk.lock", ".fpk-"
-"""Lock of a folder that a command writes to; how temporary folders begin, of eight more letters."""
+"""Name of the lock file in a folder that a command writes to, and beginning of the names of
+temporary folders, which have eight more letters."""
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` in UTF-8 to ``path``; a file that was there is replaced in one step."""
+    """Write ``text`` in UTF-8 to ``path``, replacing a file there; raises as ``write_by``."""
     write_by(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def write_by(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then move it there in one step.
+    """Call ``write`` with a temporary path, to which it writes, then move that file to ``path``.
 
-    Raises ``BadInput`` with one line if the folder or the disk does not allow it; the file that was
-    at ``path`` is unchanged then.
+    Raises ``BadInput`` if the folder or the disk does not allow it. A file that was at ``path`` is
+    replaced in one step, or unchanged after an error.
     """
     refusal = readable_errors(path, *NOT_WRITTEN)
     with refusal, TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
@@ -45,10 +46,10 @@ def make_folder(path: Path) -> Path:
 
 @contextmanager
 def output_folder(path: Path) -> Iterator[None]:
-    """Lock the folder at ``path`` for one command; it is made if it is missing.
+    """Return a context in which one command alone writes to the folder ``path``, made if missing.
 
-    Half-written files of killed processes are removed from it. Raises ``Unavailable`` if another
-    command writes to it, ``BadInput`` if it cannot be written.
+    Half-written files of killed processes are removed first. Raises ``Unavailable`` if another
+    command writes to the folder, ``BadInput`` if it cannot be written.
     """
     with lock_file(make_folder(path) / LOCK, needed=False):
         for left in path.glob(f"{PREFIX}{'?' * 8}"):

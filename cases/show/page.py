@@ -21,30 +21,29 @@ from cases.show.records import Record, plain, program_version
 TEMPLATES = Path(__file__).parent / "templates"
 
 DIGITS, ERROR_DIGITS = 10, 2
-"""Digits of a number in the data of a page, and of its error, which is rounded up."""
+"""Significant digits of a number in the data of a page, and of its error, which is rounded up."""
 
 PLOTS = "axes.js", "curves.js", "maps.js", "plots.js"
-"""Scripts of the plots that can be touched, in the order in which they need each other."""
+"""Files in ``templates`` with the scripts of interactive plots, in the order of loading."""
 
 LIBRARIES = ("numpy", "scipy", "scikit-fem", "numba", "matplotlib", "h5netcdf")
 
 PALETTE = 64
-"""Colours of a map in a page."""
+"""Number of colours in a map of a page."""
 
 
 class PageStyle:
-    """The style of a page; templates name all tables of the page before they use its text."""
+    """The CSS of a page. Templates call ``table`` for each table before they use ``text``."""
 
     def __init__(self) -> None:
         """Start with no table."""
         self._tables: list[tuple[str, ...]] = []
 
     def table(self, names: Sequence[str], texts: Sequence[bool] = ()) -> str:
-        """Return the class of a table with columns of these names.
+        """Return the CSS class of a table with the columns ``names``, whose rules ``text`` has.
 
-        The names of columns of numbers begin with "#", or ``texts`` says which columns are text. In
-        a narrow window the names stand beside the cells, by rules: attributes of all cells would
-        double a table.
+        Names of columns of numbers begin with "#", or ``texts`` says for each column whether it is
+        text. In a narrow window the rules show the names beside the cells.
         """
         columns = tuple(names)
         if texts:
@@ -55,7 +54,7 @@ class PageStyle:
 
     @property
     def text(self) -> Markup:
-        """The style, with rules for the columns of all tables."""
+        """The CSS, with rules for the columns of all tables so far."""
         tables = [
             (f".t{t} tr > :nth-child({k})", name.removeprefix("#"), name.startswith("#"))
             for t, columns in enumerate(self._tables)
@@ -81,14 +80,15 @@ class PageStyle:
 
     @property
     def hash(self) -> Markup:
-        """The source expression of the style, once it is complete."""
+        """``'sha256-…'`` of ``text`` for the security policy of the page."""
         return _hash(self.text)
 
 
 def page_record(scripts: Sequence[str] = ()) -> Record:
-    """Return the style, the ``script`` and its hash for ``page.html``; ``scripts`` are file names.
+    """Return ``style``, ``script`` and ``script_hash`` for the template ``page.html``.
 
-    The content security policy of the page has the hashes: it allows no others.
+    ``scripts`` are names of files in ``templates``, joined in this order. The content security
+    policy of the page allows the script with this hash alone, or none.
     """
     script = Markup("\n").join(map(_template, scripts))
     allowed = _hash(script) if scripts else "'none'"
@@ -96,9 +96,10 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
 
 def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int] = ()) -> Record:
-    """Return the record of ``origin.html``: the command, the versions, and the files beside a page.
+    """Return the record of ``origin.html``: the ``command`` that made a page, and all versions.
 
-    ``seeds`` of the simulation are listed because the ``command`` need not name them.
+    ``downloads`` are names of files beside the page. ``seeds`` of the simulation are listed because
+    the ``command`` need not name them.
     """
     return {
         "command": command,
@@ -113,15 +114,15 @@ def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int
 
 
 def script_record(plots: Sequence[Record], **more: Any) -> Record:
-    """Return the data of the scripts ``PLOTS``: plots, the colours of maps, and ``more``."""
+    """Return the data of the scripts ``PLOTS``: plots, colours of maps, and the keys ``more``."""
     palette = [to_hex(c) for c in colormaps["viridis"](range(0, 256, 256 // PALETTE))]
     return plain({"plots": plots, "palette": palette, **more})
 
 
 def round_values(*, error: Any = None, **values: Any) -> Record:
-    """Return the values to ``DIGITS`` digits, and their ``error``, if any, rounded up.
+    """Return each sequence of ``values``, under its key, as numbers of ``DIGITS`` digits.
 
-    NaN becomes None.
+    The sequence ``error``, if not None, is rounded up to ``ERROR_DIGITS``. NaN becomes None.
     """
     own = {key: [_finite(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
     return (
@@ -134,7 +135,7 @@ def _finite(text: str) -> float | None:
 
 
 def as_script_data(record: Record) -> Markup:
-    """Return the record as JSON for a script element: ``<``, ``>`` and ``&`` are escaped in it."""
+    """Return ``record`` as JSON with ``<``, ``>``, ``&`` escaped; raise ``ValueError`` for NaN."""
     text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")

@@ -25,7 +25,10 @@ from fpk.numeric.errors import InvalidInput, Unavailable
 
 
 def summary_frame(answers: Answers) -> Any:
-    """Return the quantities as a data frame of pandas, see ``PresentedAnswers.summary``."""
+    """Return the quantities as a data frame of pandas with rows (observable, quantity).
+
+    Columns (route, "value" or "error" or "error_kind"). Raises ``Unavailable`` without pandas.
+    """
     pandas = import_optional("pandas")
     frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
     if frame.empty:
@@ -39,7 +42,10 @@ def summary_frame(answers: Answers) -> Any:
 
 
 def dataset(answers: Answers) -> Any:
-    """Return the densities as a data set of xarray, see ``PresentedAnswers.to_xarray``."""
+    """Return ``density_variables`` as an xarray data set without the dimension ``curve``.
+
+    Raises ``Unavailable`` if xarray is not installed.
+    """
     xarray = import_optional("xarray")
     variables: Variables = {}
     for observable in dict.fromkeys(d.observable for d in answers.values()):
@@ -51,7 +57,7 @@ def dataset(answers: Answers) -> Any:
 
 
 def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
-    """Return a figure of the densities of one coordinate or two, see ``PresentedAnswers.plot``."""
+    """Return a pyplot figure of the densities, contours for a pair; ``InvalidInput`` if none."""
     densities = answers.densities(observable)
     if not densities:
         there = "; ".join(dict.fromkeys(o for o, _ in answers)) or "none"
@@ -65,9 +71,9 @@ def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
 
 
 def plot_density(density: AnyDensity, *, log: bool) -> Any:
-    """Return a figure of one density, see ``Density.plot``: a band of ± its error where it is seen.
+    """Return a figure of pyplot with one density and a band of ± its error, or contours of a pair.
 
-    With ``log`` the levels of a density of two coordinates form a geometric sequence.
+    ``log``: a logarithmic scale; the levels of the contours form a geometric sequence.
     """
     with mpl.rc_context(dict(STYLE)):
         figure = import_module("matplotlib.pyplot").figure(layout="constrained")
@@ -79,7 +85,7 @@ def plot_density(density: AnyDensity, *, log: bool) -> Any:
 
 
 def html_tables(answers: Answers) -> str:
-    """Return the quantities as HTML, a table of each observable."""
+    """Return HTML: ``repr(answers)``, a table of the quantities of each observable, and notes."""
     rows = [plain(quantity_row(q)) for q in answers.quantities]
     parts = [f"<p>{escape(repr(answers))}</p>"]
     parts += map(html_table, quantity_rows(rows))
@@ -88,7 +94,7 @@ def html_tables(answers: Answers) -> str:
 
 
 def import_optional(name: str) -> Any:
-    """Return a package of the extra ``frames``; raise ``Unavailable`` where it is missing."""
+    """Return the imported package ``name``; raise ``Unavailable`` if it is not installed."""
     try:
         return import_module(name)
     except ImportError:

@@ -1,4 +1,4 @@
-"""Plain records: what JSON has of numbers, arrays and the program's own records."""
+"""Records of answers with plain values as JSON has them, and these records as text."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -23,7 +23,7 @@ Record = dict[str, Any]
 
 
 def program_version() -> str:
-    """Return the version of the installed distribution."""
+    """Return the version of the installed distribution, else ``(not installed)``."""
     try:
         return version("vibro-fpk")
     except PackageNotFoundError:
@@ -31,9 +31,9 @@ def program_version() -> str:
 
 
 def plain(record: Any) -> Record:
-    """Return a dictionary, or the fields of a record, as JSON has them: arrays become lists.
+    """Return a dictionary, or the fields of a dataclass, with values as JSON has them.
 
-    Numbers that are not finite become null.
+    Arrays become lists, numbers that are not finite None, at any depth.
     """
     json_values: Record = to_jsonable_python(
         record, inf_nan_mode="null", fallback=lambda array: array.tolist()
@@ -52,9 +52,10 @@ def answer_record(
 ) -> Record:
     """Return the record of a command that asks one method: the question, the answer, its checks.
 
-    ``given`` are the words of the question, such as the observable and the points; values of a
-    curve or density are under ``key``. Missing numbers, and numbers beyond range, are null.
-    ``averaging_notes`` say how large the averaging error is, or that it is unknown.
+    ``given`` has the question's entries, such as ``observable`` and ``points`` or ``limit``; the
+    values of a curve or density are under ``key``, which rates and passages do not use. ``seconds``
+    is the computing time. Numbers that are missing or not finite are None. ``averaging_notes`` say
+    how large the averaging error is, or that it is unknown.
     """
     own: Record
     match answer:
@@ -82,12 +83,16 @@ def answer_record(
 
 
 def curves_by_key() -> dict[str, Question]:
-    """Return the questions about the motion of a displacement by the keys of their values."""
+    """Return the questions about the motion of a displacement by ``key``, such as "spectrum"."""
     return {q.key: q for q in QUESTIONS.values() if q.of_displacement}
 
 
 def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[str]]:
-    """Return the units of the numbers of an answer, by their keys in its record."""
+    """Return the units of the numbers of an answer by their keys in its ``answer_record``.
+
+    ``given`` and ``key`` are arguments of that function: a passage has a ``limit``, rates have no
+    ``key``. The ``points`` of a pair have a list of two units.
+    """
     rate, times = units.quantity("rate"), {"times": units.time}
     if "limit" in given:
         variance = units.of((0, 0, 1), (0, 0, 1))
@@ -106,7 +111,7 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
 
 
 def passage_numbers(answer: Passage) -> Record:
-    """Return the moments, the failure rate and the reliability with their errors."""
+    """Return moments, failure rate, P(T > t), P(T ≤ t) and their errors, NaN if unknown, by key."""
     record: Record = {}
     for key, (*_, read) in PASSAGE_NUMBERS.items():
         record[key], record[f"{key}_error"] = read(answer)
@@ -117,19 +122,19 @@ def passage_numbers(answer: Passage) -> Record:
 
 
 def point_list(points: tuple[Array, ...]) -> Array:
-    """Return points as numbers, points of a pair of coordinates as pairs."""
+    """Return the points (points,) of one coordinate, or (points, 2) of two arrays ``points``."""
     return points[0] if len(points) == 1 else np.stack(points, axis=-1)
 
 
 def answer_tail(
     certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
 ) -> Record:
-    """Return what every answer says last."""
+    """Return the last entries of the record of an answer; ``seconds`` is its computing time."""
     return {"certificate": certificate.record, "settings": dict(settings), "seconds": seconds}
 
 
 def columns_text(record: Record) -> str:
-    """Return the points, after the times if there are any, the values and errors in columns."""
+    """Return the record of a curve or density in columns: time if any, point, value, error."""
     (key,) = record.keys() & {"density", *(curves := curves_by_key())}
     names, units = record["observable"].split(","), (record.get("units") or {})
     if key in curves:
@@ -149,13 +154,13 @@ def columns_text(record: Record) -> str:
 def _columns(
     first: list[float], record: Record, values: list[float], errors: list[float]
 ) -> Iterator[str]:
-    """Yield a line for each of the points, with what comes ``first`` in it."""
+    """Yield a line for each point of ``record``: numbers ``first``, coordinates, value, error."""
     for point, value, error in zip(record["points"], values, errors, strict=True):
         yield _row([*first, *(point if isinstance(point, list) else [point]), value], error)
 
 
 def passage_text(record: Record) -> str:
-    """Return the moments and the failure rate, and the reliability at the times in columns."""
+    """Return the record of a passage in lines: moments, failure rate, P(T > t) and P(T ≤ t)."""
     units = record.get("units") or {}
     unit = f" {units['limit']}" if units.get("limit") else ""
     limit = ", ".join(f"{part}{unit}" for part in record["limit"].split(","))
@@ -176,7 +181,7 @@ def passage_text(record: Record) -> str:
 
 
 def rates_text(record: Record) -> str:
-    """Return the rates, their frequencies and errors in columns."""
+    """Return an ``answer_record`` of relaxation rates as text: rate, frequency, error a line."""
     rows = zip(record["rates"], record["frequencies"], record["errors"], strict=True)
     lines = [_row([rate, frequency], error) for rate, frequency, error in rows]
     unit = in_brackets((record.get("units") or {}).get("rates", ""))
@@ -197,6 +202,6 @@ def _kind(record: Record) -> str:
 
 
 def _row(values: Iterable[float | None], error: float | None) -> str:
-    """Numbers of a line, a dash for one that there is not or that is beyond range."""
+    """A line of numbers to 12 digits and an error rounded up; a dash for None."""
     words = ["-" if x is None else f"{x:.12g}" for x in values]
     return "  ".join([*words, "-" if error is None else bound(error)])

@@ -58,9 +58,9 @@ def write_report(
 ) -> list[Path]:
     """Write ``report.html`` and the pictures into ``folder``; return their paths.
 
-    ``digest`` is the record of the run, ``digest_of(outcome)``; ``command`` is what made it. The
-    page has links to the pictures and to the fields that are in the folder.
-    Every file appears whole or not at all. Raises ``BadInput`` where the folder cannot be written.
+    ``digest`` is ``digest_of(outcome)``; the page shows ``command``, by default ``fpk run`` of the
+    scene, with links to the pictures and to all netCDF files in the folder. Every file appears
+    whole or not at all. Raises ``BadInput`` if a file cannot be written.
     """
     pictures, written = [], []
     live = live_record(outcome)
@@ -85,7 +85,7 @@ def write_report(
 
 
 def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:
-    """Yield file stem, caption and figure of everything that an outcome can show."""
+    """Yield file stem, caption and figure: densities, differences, answers in time."""
     with mpl.rc_context(dict(STYLE)), in_units(outcome.scene.units):
         for k, observable in enumerate(outcome.scene.observables, start=1):
             curves = [c for c in outcome.curves if c.densities(observable)]
@@ -100,10 +100,7 @@ def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[
 
 
 def live_record(outcome: Outcome) -> Record | None:
-    """Return the data of the page's scripts: all plots, and the model of the sliders.
-
-    None if nothing can be drawn.
-    """
+    """Return the data of the page's scripts: plots and ``slider_model``; None without plots."""
     observables = outcome.scene.observables
     model, missing = slider_model(outcome.curves[0], observables, units_record(outcome.scene))
     plots = []
@@ -138,9 +135,11 @@ def report_html(
     command: str = "",
     downloads: Sequence[str] = (),
 ) -> str:
-    """Return the page; every text that comes from a scene is escaped by the template.
+    """Return the HTML of the page; every text that comes from a scene is escaped.
 
-    ``live`` is ``live_record``, with which the pictures can be touched.
+    ``pictures`` have ``stem``, ``group`` (a value of ``GROUPS``), ``caption``, and the address
+    ``image``, which may be empty. ``live`` is ``live_record``, without it there are no interactive
+    plots. ``downloads`` are names of files beside the page, ``command`` is the command shown.
     """
     curves = curves_of(digest)
     settings = [m.get("settings", {}) for curve in curves for m in curve["methods"]]
@@ -179,11 +178,11 @@ def report_html(
 def headline_of(curves: list[Record]) -> str:
     """Return how far each averaged theory is from the full system, in one sentence.
 
-    If the exact density of all curves is known, a sentence before it says so. For each curve and
-    theory the largest L1 distance of a density is given, each density by the reference that leaves
-    the smallest error. Under modulated noise the densities at the times of the [[transient]] tables
-    are compared, or else P(T > t) of the [[passage]] tables; without any of these tables the
-    sentence says that it is about constant noise. Empty if no distance is known.
+    ``curves`` are from ``curves_of``. If the exact density of all is known, a sentence before says
+    so. For each curve and theory the largest L1 distance of a density is given, each density by the
+    reference that leaves the smallest error. Under modulated noise the densities at the times of
+    the [[transient]] tables are compared, or else P(T > t) of the [[passage]] tables; without these
+    tables the sentence says that it is about constant noise. Empty if no distance is known.
     """
     parts = []
     for curve in curves:
@@ -216,11 +215,12 @@ def measure_of(curves: list[Record]) -> str:
 
 
 def numbers_of(curve: Record) -> str:
-    """Return the numbers that were asked for in sentences, and whose averaging error is unknown.
+    """Return in sentences the main numbers of a curve, and answers with unknown averaging error.
 
-    The rms of each displacement observed, impact rate and mean force of the stop that is hit most,
-    and P(T ≤ t) of each first passage at all times: by an answer of the full system if there is
-    one, a solution before a simulation. If only a pair is observed, no mean force is known.
+    The numbers are the rms of each displacement observed, impact rate and mean force of the stop
+    that is hit most, and P(T ≤ t) of each first passage at all times: by an answer of the full
+    system if there is any, a solution before a simulation. Under modulated noise only the last.
+    ``curve`` is an entry of ``curves_of``. Empty if there is nothing to say.
     """
     best: dict[tuple[str, str], Record] = {}
     stationary = curve["quantities"] if curve["system"]["modulation"] is None else []
@@ -265,7 +265,10 @@ def _number_words(name: str, row: Record) -> str:
 
 
 def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
-    """Words for the subject of the distances, empty for stationary densities, and the distances."""
+    """Words for what is compared, empty for stationary densities, and rows of distances.
+
+    A row has ``theory``, ``observable``, ``L1``, or the largest difference of P(T > t), ``error``.
+    """
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]
     for words, questions, norm in (
@@ -284,10 +287,10 @@ def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
 
 
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
-    """By theory the L1 distance of the density that is furthest off, and its error; best first.
+    """By theory the largest L1 distance of its densities and the error; the best theory first.
 
-    ``rows`` are the distances of ``_subject_and_distances``; a theory's solution and its simulation
-    count once.
+    ``rows`` are from ``_subject_and_distances``; of two rows of one density, by solution and
+    simulation, the row with the smaller error counts.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):

@@ -18,7 +18,7 @@ from fpk.numeric.arrays import Array
 from fpk.system.system import System
 
 MOST_MODES = 12
-"""Modes up to which the page computes the density of the sum of their energies."""
+"""Largest number of modes for which the page computes the density of the sum of their energies."""
 
 
 def slider_model(
@@ -26,12 +26,12 @@ def slider_model(
 ) -> tuple[Record | None, str]:
     """Return the parameters of Eqs. (29), (30), (34), (36), and words for numbers not computed.
 
-    The parameters are None if no closed form applies: constant damping, unmodulated noise, one
-    contact mass and power laws are needed. ``B`` and ``delta`` of each contact, ``c`` and ``D`` of
-    each mass have names and values as run; a full matrix has one factor instead, of value 1. All
-    rates are linear in these: α = Σ c rate / Σ D rate, and so are the modal damping and noise,
-    whose neglected correlation is at most ``most``. ``units`` is ``units_record``; it gives the
-    ``unit`` of everything but a factor.
+    The words are empty if there are none. The parameters are None if no closed form applies:
+    constant damping, unmodulated noise, one contact mass and power laws are needed. ``B`` and
+    ``delta`` of each contact, ``c`` and ``D`` of each mass have names and values as run; a full
+    matrix has one factor instead, of value 1. Rates are linear in c and D: α = Σ c rate / Σ D rate,
+    and so are the modal damping and noise, whose neglected correlation is at most ``most``.
+    ``units`` is ``units_record``; it gives the ``unit`` of everything but a factor.
     """
     system = curve.system
     taken = {r.method.route.method for r in curve.results if r.method.route.solves == "averaged"}
@@ -90,7 +90,7 @@ def slider_model(
 
 
 def slider_curves(model: Record | None, observable: Observable) -> list[Curve]:
-    """Return the curves of one coordinate whose values the sliders compute, empty as yet."""
+    """Return a curve without points for each closed form of ``observable`` in ``model``, if any."""
     forms = model["of"].get(observable_name(observable), {"forms": ()})["forms"] if model else ()
     own: Any = {"colour": "currentColor", "marker": "", "shown": False}
     drawn = {"energy": ("energy averaging", "--"), "modal": ("modal averaging", ":")}
@@ -130,8 +130,9 @@ def _linear(
 ) -> list[Record]:
     """The entries of a diagonal ``intensity`` I (n, n), or one factor of a full matrix.
 
-    ``gain`` is g (n, n), ``shapes`` are the columns T of the modes. ``rate`` is the share of the
-    entry in Σ (g I gᵀ)_ii/m_i; its share in Tᵀ g I gᵀ T is ``matrix``, or v vᵀ with ``vector`` v.
+    ``gain`` is g (n, n), ``shapes`` T (n, modes); ``words`` begin each name. Per unit of its value
+    an entry adds ``rate`` to Σ (g I gᵀ)_ii/m_i, and ``matrix``, or v vᵀ with ``vector`` v, to
+    Tᵀ g I gᵀ T.
     """
     diagonal = np.diag(intensity)
     if not np.array_equal(intensity, np.diag(diagonal)):
@@ -156,7 +157,7 @@ def _linear(
 def _form(
     c: Coordinate, system: System, contact_mass: int, modes: ModalAnalysis | None
 ) -> Record | None:
-    """Parameters of a coordinate's closed forms, and their names; None if it has none."""
+    """Parameters of the closed forms of ``c``, named in ``forms``; None if there are none."""
     modal = [] if modes is None else ["modal"]
     if c.kind == "H":
         if c.index is not None:

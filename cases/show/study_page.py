@@ -36,11 +36,14 @@ FORMATS: Mapping[str, Callable[[Any], str]] = {
     **dict.fromkeys(("mean", "limit"), "{:.6g}".format),
     "value": "{:.10g}".format,
 }
-"""How the values of a column are written where three digits do not suit them."""
+"""Functions that write the values of a column, by its name; others are written to three digits."""
 
 
 def cell(value: Any, column: str = "") -> str:
-    """Return a value of a table in words: three digits of a plain number, a dash for none."""
+    """Return ``value`` as text: floats by ``FORMATS[column]`` or to three digits.
+
+    A dash for None, NaN and empty text; the entries of a tuple are separated by spaces.
+    """
     if isinstance(value, tuple):
         value = " ".join(map(cell, value))
     if value is None or value == "" or value != value:
@@ -57,7 +60,8 @@ class Table:
     """Rows of equal keys, which are the columns, under a title; remarks stand below them.
 
     ``name`` is the dimension of the rows in netCDF; ``units`` has the unit of a column by its name.
-    The first ``parameters`` columns have numbers that were given, which are shown with all digits.
+    The first ``parameters`` columns have numbers that were given: they are shown to ten digits. All
+    methods need one row at least.
     """
 
     name: str
@@ -68,7 +72,7 @@ class Table:
     parameters: int = 0
 
     def cells(self) -> tuple[list[str], list[list[str]]]:
-        """Return the columns with their units, and the rows in words."""
+        """Return the names of the columns with their units, and the rows, all as text."""
         rows = [[reader_words(cell(v, column)) for column, v in row.items()] for row in self.rows]
         for row, own in zip(self.rows, rows, strict=True):
             own[: self.parameters] = [f"{v:.10g}" for v in list(row.values())[: self.parameters]]
@@ -88,7 +92,7 @@ class Table:
         return [all(isinstance(row[key], str) for row in self.rows) for key in self.rows[0]]
 
     def lines(self, width: int) -> list[str]:
-        """Return title, table and remarks for a terminal, see ``text_table``."""
+        """Return the lines of title, table and remarks for a terminal of ``width`` columns."""
         head, rows = self.unrepeated()
         words = (*self.texts, False).index(False)
         wrapped = [line for remark in self.remarks for line in wrap(reader_words(remark), width)]
@@ -110,12 +114,12 @@ class Table:
         ]
 
     def html(self) -> str:
-        """Return the rows as an HTML table."""
+        """Return the names of the columns and all rows as an HTML table, nothing else."""
         head, rows = self.cells()
         return html_table([head, *rows])
 
     def variables(self) -> Variables:
-        """Return the columns as netCDF variables ``name_column``: numbers, else text."""
+        """Return the columns as netCDF variables ``name_column``: numbers (None: NaN) or text."""
         columns: Variables = {}
         for key in self.rows[0]:
             values = [row[key] for row in self.rows]
@@ -148,7 +152,7 @@ class Page:
     gridded: Variables | None = None
 
     def shown(self, width: int) -> str:
-        """Return the page for a terminal of so many columns; as Markdown where that is 0."""
+        """Return the page for a terminal of ``width`` columns; as Markdown if ``width`` is 0."""
         if not width:
             return self.text().rstrip()
         tables = [line for t in self.tables if t.rows for line in t.lines(width)]
@@ -164,9 +168,10 @@ class Page:
         return "\n".join([f"# {title}", "", *tables]).rstrip() + "\n"
 
     def write(self, folder: Path, *, command: str = "") -> list[Path]:
-        """Write files of the study's name: md, svg, html, nc and, if it is over a grid, csv.
+        """Write files of the study's name: md, svg, html, nc and, with ``gridded``, csv.
 
-        ``command`` is what made the page, which shows it; empty if Python did.
+        Returns their paths. ``folder`` must exist; its files are replaced. ``command`` made the
+        page, which shows it; empty if Python did. Raises ``BadInput`` if a file cannot be written.
         """
         texts = {"md": self.text(), "svg": svg_text(study_figure(self.panels), salt=self.name)}
         variables = self.gridded

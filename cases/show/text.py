@@ -21,7 +21,7 @@ from fpk.answer.method import solvers_of
 
 
 def render(template: str, record: Mapping[str, Any]) -> str:
-    """Return the record in the form of a template; in HTML all its text is escaped."""
+    """Return the file ``template`` of ``templates`` with ``record`` filled in, escaped in HTML."""
     return _templates().get_template(template).render(record).rstrip("\n")
 
 
@@ -92,7 +92,7 @@ def _diagonal(matrix: list[list[float]]) -> str:
 
 
 def tail_words(row: Record) -> str:
-    """Return a tail of ``Answers.tails`` in words."""
+    """Return a row of ``Answers.tails`` in words: P beyond a level, and a theory's factor to it."""
     sign = ">" if row["side"] == "above" else "<"
     beyond = f"P({row['observable']} {sign} {row['level']:.3g})"
     theory, reference = reader_words(row["theory"]), reader_words(row["reference"])
@@ -102,15 +102,16 @@ def tail_words(row: Record) -> str:
 
 
 def _answer_words(label: str, question: Record) -> str:
-    """Return in words who gave an answer to a question in time, by the label of its route."""
+    """Return theory and solver in words of the answer to ``question`` by the route ``label``."""
     words: dict[str, str] = {answer["route"]: answer["words"] for answer in question["answers"]}
     return words[label]
 
 
 def refusals_of(curve: Record) -> list[Record]:
-    """Return the refusals of one curve; refusals with the same reason are one entry.
+    """Return the refusals in ``curve``, an entry of ``curves_of``; one entry for each reason.
 
-    ``routes`` has the theories, with their solvers if a theory has several.
+    ``routes`` names the theories in words, with their solvers if a theory has several; ``methods``
+    has their keys and solvers, ``observables`` the names that are refused.
     """
     joined: dict[tuple[str, bool, bool], Record] = {}
     for r in curve["methods"]:
@@ -163,13 +164,13 @@ def claims_counted(claims: list[Record]) -> str:
 
 
 def theory_table(rows: Sequence[Record], *, every: bool = False) -> Record:
-    """Return the theories as ``routes``, the cells by theory, and theories by what they solve.
+    """Return a table of quantities with a column for each theory, whose names are ``routes``.
 
-    ``rows`` are the quantities of a curve: of ``every`` route, else of the first route of each
-    method that solves, and that samples, chosen for each observable on its own. Other solvers of
-    the same equation agree with the first within their errors, or the run fails. ``solved_by`` has
-    the theories that solve the "full" and an "averaged" equation. Each row of the table has its
-    observable (``of``), its ``quantity`` with the unit, and ``cells`` by theory.
+    ``rows`` are by ``quantity_row``, of one curve. ``every``: a column for each route; else for the
+    first route of each method that solves, and that samples, chosen for each observable on its own.
+    ``solved_by`` has the names of the columns by the equation, "full" or "averaged". A row of the
+    table has its observable (``of``), its ``quantity`` with the unit, and, in ``cells``, the given
+    row by column if there is one.
     """
     first: dict[tuple[str, str, str], str] = {}
     cells: dict[tuple[str, str], Record] = {}
@@ -192,7 +193,7 @@ def theory_table(rows: Sequence[Record], *, every: bool = False) -> Record:
 
 
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
-    """Return the lines of a table of each observable, see ``text_table``. ``every``: all routes."""
+    """Return ``quantity_rows`` as lines at most ``width`` columns wide; ``every``: all routes."""
     lines: list[str] = []
     for table in quantity_rows(rows, every=every):
         lines += [*text_table(table, width), ""]
@@ -200,7 +201,7 @@ def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> 
 
 
 def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[list[list[str]]]:
-    """Yield ``theory_table`` as text for each observable: routes, what they solve, quantities."""
+    """Yield the ``theory_table`` of each observable as rows of text: routes, equations, numbers."""
     for observable, own in groupby(rows, key=lambda row: row["observable"]):
         table = theory_table([*own], every=every)
         routes = table["routes"]
@@ -229,12 +230,11 @@ def html_table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> list[str]:
-    """Return the lines of a table no wider than ``width`` where that can be.
+    """Return the lines of a table no wider than ``width`` columns if that is possible.
 
-    ``rows`` begin with the heads of the columns, alone there are no lines; the first ``words``
-    columns are text, the others numbers, which stand at the right. Where they do not fit, heads and
-    texts go on in a line below; what then still does not fit is in another table below, with the
-    first column again.
+    ``rows`` begin with the heads of the columns; without further rows there are no lines. The first
+    ``words`` columns are text, the others numbers, aligned right. In a narrow table heads and texts
+    are wrapped; columns that still do not fit follow in another table, with the first column again.
     """
     if len(rows) < 2:
         return []
@@ -266,7 +266,7 @@ def text_table(rows: Sequence[Sequence[str]], width: int, words: int = 1) -> lis
 
 
 def _blocks(sizes: Sequence[int], width: int) -> list[list[int]]:
-    """Indices of columns of such ``sizes`` that fit together, at least one in each block."""
+    """Split column indices into blocks with ``sizes``, + 2 each, within ``width`` if possible."""
     blocks: list[list[int]] = []
     left = -1
     for k, size in enumerate(sizes):

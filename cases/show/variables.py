@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from cases.compare.stationary import Outcome
 
 LABELS = {"contact.stiffness": "contact stiffness B", "contact.clearance": "clearance δ"}
-"""Labels of axes that have one of their own."""
+"""Labels of axes by parameter; other axes are labelled by their symbol."""
 
 Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
 Read = Callable[[Any], Any]
-"""Takes two things from an answer: a number or an array, and its error."""
+"""Function of an answer that returns a number or an array, and its error."""
 
 Part = tuple[tuple[str, str], str, str, Read, Mapping[str, int]]
 """A quantity of every answer: the beginnings of its name and of its error's name, its description,
@@ -34,9 +34,10 @@ its unit, its reader, and the names and sizes of its dimensions beyond curve and
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One parameter and the values that it takes; ``symbol`` is its letter, such as B.
+    """One parameter and the values (points,) that it takes; ``symbol`` is its letter, such as B.
 
-    ``unit`` is empty without ``[units]``, and where it stands for numbers of several.
+    ``key`` is its path in a scene, as ``contact[1].clearance``. ``logarithmic`` is the scale of the
+    axis. ``unit`` is empty without ``[units]``, and if the numbers of the parameter have several.
     """
 
     key: str
@@ -56,7 +57,7 @@ class Axis:
 
     @property
     def dimension(self) -> str:
-        """The name in netCDF: the key without brackets and commas."""
+        """The name in netCDF: the key with dots for brackets, as ``contact.1.clearance``."""
         return re.sub(r"[\[\],]+\.?", ".", self.key).strip(".")
 
 
@@ -129,7 +130,7 @@ def time_variables(outcome: "Outcome") -> Variables:
 
 
 def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variables:
-    """The answers to question ``name``, of which ``column`` has the replies of every curve."""
+    """The ``time_variables`` of a question, to which ``column`` has the replies of every curve."""
     answers = {(i, g.route.label): g.answer for i, r in enumerate(column) for g in r.given}
     if not answers:
         return {}
@@ -165,7 +166,7 @@ def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variable
 
 
 def _pad(rows: Array, size: int) -> Array:
-    """The rows (…, points) with ``size`` points, those that are missing not numbers."""
+    """The ``rows`` (…, points), filled up with NaN to (…, ``size``)."""
     missing = size - rows.shape[-1]
     pads = [*[(0, 0)] * (rows.ndim - 1), (0, missing)]
     return np.pad(rows, pads, constant_values=np.nan)

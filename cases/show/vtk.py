@@ -21,9 +21,10 @@ from fpk.system.system import System
 
 
 def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
-    """Write the first observable of the scene's own system as a grid of quadratic cells.
+    """Write the densities of the first observable of the scene's own system, by every route.
 
-    Beside it ``…_stops.vtu`` has the stops of its displacements, where there are any. ::
+    The grid has quadratic cells. Beside ``path``, ``…_stops.vtu`` has the stops of the observed
+    displacements if there are any. Returns the paths written; raises as ``write_by``. ::
 
         outcome = run_scene(fpk.load("fig7"), [NonIntegrable("closed-form")])
         write_vtu(outcome, Path("fig7.vtu"))
@@ -32,10 +33,11 @@ def write_vtu(outcome: Outcome, path: Path) -> list[Path]:
 
 
 def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
-    """Write every observable as a collection over what ``[vary]`` varies, which stands for time.
+    """Write a collection over the curves for every observable; the varied number stands for time.
 
-    ``path`` itself of one observable, of several ``…_q2.pvd`` and so on beside it; each with a
-    ``.vtu`` a curve, the values ascending, and the stops as a second part.
+    The collection is ``path`` itself if the scene has one observable, else ``…_q2.pvd`` and so on
+    beside it. Each has a ``.vtu`` for each curve, the numbers ascending, and the stops as a second
+    part. Returns the paths written; raises as ``write_by``.
     """
     written: list[Path] = []
     numbers = curve_numbers(outcome)
@@ -61,9 +63,10 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
 
 
 def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
-    """Write every transient of the scene's own system as a collection over time, and its files.
+    """Write each transient k = 1, 2, … of the scene's own system as a collection over time.
 
-    One ``transient_k.pvd`` with a ``.vtu`` for each time, on the same lines between the points.
+    ``transient_k.pvd`` lists a ``.vtu`` for each time with the densities and errors by every route
+    on lines between the points. Returns the paths written; raises as ``write_by``.
     """
     written: list[Path] = []
     for k, replies in enumerate(outcome.curves[0].transients, start=1):
@@ -90,7 +93,7 @@ def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
 
 
 def _write_collection(path: Path, entries: Mapping[Path, Mapping[str, str]]) -> list[Path]:
-    """Write the collection of the files beside it, each with its ``entries``; return all paths."""
+    """Write the collection ``path`` of files beside it with their attributes; return all paths."""
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     collection = ElementTree.SubElement(root, "Collection")
     for file, entry in entries.items():
@@ -131,11 +134,11 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
 def stop_planes(
     system: System, observable: Observable, points: Array, height: float
 ) -> meshio.Mesh | None:
-    """Return the stops of the displacements of ``observable`` as planes, None without any.
+    """Return the stops of the displacements of ``observable`` as planes, None if it has no stop.
 
-    They stand on the field at ``points`` (…, 3), from 0 to ``height`` in z, where a density warped
-    by its own value has its surface; over a density of one coordinate they are as wide as high.
-    The cells say which ``mass`` it is, counted from 1.
+    Each is a rectangle from 0 to ``height`` in z, the largest density of a surface z = p. It spans
+    the ``points`` (points, 3) of the field along the other coordinate; over a density of one
+    coordinate it is as wide as high. The cells have the number of the ``mass``, from 1.
     """
     ends = np.array([points.min(axis=0), points.max(axis=0)])
     if len(observable) == 1:
@@ -161,7 +164,7 @@ def _origin(outcome: Outcome) -> dict[str, str]:
 
 
 def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
-    """Write the mesh with ``data`` as field data; texts as VTK has them, zero-ended codes."""
+    """Write ``mesh``, and ``data`` as field data with texts as codes that end with 0."""
     root = ElementTree.Element("FieldData")
     for name, value in data.items():
         kind = "Float64" if isinstance(value, float) else "String"

@@ -25,9 +25,9 @@ def stationary_note(system: System) -> str:
 
 
 def reader_words(text: str) -> str:
-    """Return a route's words for its label; in other text theories by their names for readers.
+    """Return ``text`` with the labels of routes and the keys of methods in words for readers.
 
-    A key behind ``--method`` is one to type and stays.
+    Keys behind ``--method`` and ``--route``, which are typed, stay.
     """
     if route := _routes().get(text):
         return route.words
@@ -40,7 +40,7 @@ def reader_words(text: str) -> str:
 
 
 def theory_of_route(label: str) -> str:
-    """Return the name of a route's theory, or of a method; the label of one that is not known."""
+    """Return the theory's name for a route's ``label`` or a method's key, else ``label`` itself."""
     ordered = sorted(ROUTES.values(), key=lambda route: not route.sampled)
     first = {route.method: route for route in ordered}  # of a method that of one that solves
     route = _routes().get(label) or first.get(label)
@@ -48,13 +48,13 @@ def theory_of_route(label: str) -> str:
 
 
 def with_key(method: str) -> str:
-    """Return the name of a method with the key to type behind it, where that is another word."""
+    """Return the name of a method, and behind it in brackets its key if that is another word."""
     name = theory_of_route(method)
     return name if name == method else f"{name} ({method})"
 
 
 def effects_in_words(effects: Mapping[str, Any]) -> str:
-    """Return the effects of a system, of ``facts_record``, in one line."""
+    """Return the entry ``effects`` of ``facts_record`` in one line."""
     masses, stops, rank = (effects[key] for key in ("masses", "stops", "noise_rank"))
     where = ", ".join(map(str, effects["contact_masses"]))
     parts = [

@@ -20,7 +20,7 @@ def solved(method, system, *names):
 
 
 def ask(method, question, system, *arguments, tol=None):
-    """The certified answer; the first argument is the number of a mass, from 0, but for rates."""
+    """The certified answer; the first of ``arguments`` is a mass, from 0, except for relaxation."""
     if question != "relaxation":
         row, *arguments = arguments
         arguments = [(Coordinate("q", row),), *arguments]
@@ -52,13 +52,13 @@ def assert_agree(one, other):
 
 
 def assert_near(one, other, rounding=0.0):
-    """Two certified answers at points agree within the sum of their errors."""
+    """``one`` is certified and agrees with ``other`` within ``rounding`` and both errors."""
     assert one.certificate.certified, one.certificate.failures
     assert np.all(np.abs(one.values - other.values) <= one.errors + other.errors + rounding)
 
 
 def assert_known(density, at, exact, rounding=0.0):
-    """The density is certified and, where it is ``exact``, within its error, which is returned."""
+    """``density`` at ``at`` is ``exact`` within ``rounding`` and its error, which is returned."""
     value, error = density.at(*at)
     assert density.certificate.certified, density.certificate.failures
     assert np.all(np.abs(value - exact) <= error + rounding)
@@ -66,14 +66,14 @@ def assert_known(density, at, exact, rounding=0.0):
 
 
 def assert_refused(error, words, asked, *arguments):
-    """``asked`` raises ``error`` with ``words`` in a message of one line."""
+    """``asked(*arguments)`` raises ``error``; its message is one line with the regex ``words``."""
     with pytest.raises(error, match=words) as caught:
         asked(*arguments)
     assert "\n" not in str(caught.value)
 
 
 def assert_refusal(method, system, name, reason):
-    """``method`` gives one reason for refusing the density, before and when it is asked for it."""
+    """``method.refusal`` and ``NotApplicable`` of ``solve`` have one text, with ``reason``."""
     observable = parse_observable(name, system.n)
     given = method.refusal(system, observable)
     assert given is not None
@@ -83,7 +83,7 @@ def assert_refusal(method, system, name, reason):
 
 
 def refusal(method, system, name):
-    """Why the averaged equations have no such density, also where the motion itself escapes."""
+    """Why ``method`` has no density ``name``, None if it has, whether or not the motion escapes."""
     try:
         return method.prepare(system).refusal(parse_observable(name, system.n))
     except NotApplicable as reason:

@@ -21,7 +21,7 @@ from sim.sample.histogram import axis_of, covering, extremes
 CIR_RATE = 0.13742123052434
 """Failure rate of dH = (kT − H) dt + √(2 kT H) dB at 3 kT: 1F1(−λ; 1; 3) = 0, per decay time."""
 CIR_MEAN = 8.25803
-"""Its mean time from 0: Ei(3) − ln 3 − γ."""
+"""Mean time in which this energy first passes 3 kT from 0, in decay times: Ei(3) − ln 3 − γ."""
 
 
 def fig6(*, clearance: float = 0.5, stiffness: float = 10.0) -> System:
@@ -77,7 +77,7 @@ def passed(
     system: System, limit: str, start: str = "rest", times: Any = (), *, method: Any = None,
     **settings: Any,
 ) -> Any:  # fmt: skip
-    """First passage, by simulation of the full system if no ``method`` is given."""
+    """First passage by ``method``, by default ``simulation(**settings)`` of the full system."""
     end, begin = parse_limit(limit, system.n), parse_start(start, system)
     times = np.array(times, dtype=float)
     method = method or simulation(**settings)
@@ -88,7 +88,7 @@ def transient(
     system: System, of: str, start: str, times: Any, *at: Any, tol: float | None = None,
     method: Any = None, **settings: Any,
 ) -> Any:  # fmt: skip
-    """Transient densities, by simulation of the full system if no ``method`` is given."""
+    """Densities of ``of`` at ``times`` and points ``at``, by ``method`` or ``simulation()``."""
     asked = parse_observable(of, system.n), parse_start(start, system), np.array(times, dtype=float)
     points = tuple(np.asarray(x, dtype=float) for x in at)
     method = method or simulation(**settings)
@@ -99,7 +99,8 @@ def curve(
     question: str, system: System, row: int, at: Any, *, route: str | None = None,
     tol: float | None = None, **settings: Any,
 ) -> Any:  # fmt: skip
-    """Crossings, spectrum or correlation of q, by simulation or by the method named ``route``."""
+    """Crossings, spectrum or correlation ``at`` levels, frequencies or lags of q of mass ``row``,
+    from 0, by simulation of the full system or by the method named ``route``."""
     method = method_for(route, threads=1) if route else simulation(**settings)
     q = (Coordinate("q", row),)
     return getattr(method, question)(system, q, np.asarray(at), tol=tol, progress=silent)
@@ -109,7 +110,7 @@ def estimated(
     fine: Any, coarse: Any, until: Any, times: Any = (), *, limit: str = "H=1", step: float = 0.0,
     memory: float = 0.0, tol: float | None = None,
 ) -> Any:  # fmt: skip
-    """First passage from failure times at half the step and at the step, some cut short."""
+    """First passage from failure times (paths,) at half the ``step`` and at it, to ``until``."""
     system = linear(1)
     known: Any = {"start": parse_start("rest", system), "limit": parse_limit(limit, 1)}
     asked = Asked(system, tol, silent, times=np.array(times, dtype=float), **known)
@@ -123,7 +124,7 @@ def slow_clock(monkeypatch: Any) -> None:
 
 
 def place(ensemble: Any, states: Any) -> None:
-    """Go on from other ``states`` (blocks, 2n, LANES), whose energy it may reach from then on."""
+    """Put ``ensemble`` in ``states`` (blocks, 2n, LANES); its energy becomes their largest H."""
     ensemble.restore({**ensemble.saved(), "states": states})
     ensemble.energy = float(np.max(ensemble.system.hamiltonian(*ensemble.phase_points())))
 

@@ -7,18 +7,18 @@ from cases.show.pictures.style import SUBSCRIPTS
 from fpk.system.system import System
 
 SHOWN_MASSES = 8
-"""Masses that are drawn; of a longer chain the first, and the description says so."""
+"""Largest number of masses drawn: the first of a longer chain, as its description says."""
 
 CELL, BOX, CEILING, TOP, FLOOR = 150, 46, 4, 52, 108
-"""Width of a mass with what joins it to the one before, width of its box, and heights of the frame
-from which stops hang, of the top of a box and of the floor, in pixels from the top."""
+"""Width of a mass with its spring, width of its box, and distances from the top of the picture to
+the frame from which stops hang, to the top of a box and to the floor, in pixels."""
 
 
 def chain_svg(system: System, units: Units = NO_UNITS) -> Markup:
-    """Return the chain from its wall on the left.
+    """Return an ``<svg>`` element with the chain from its wall on the left, not to scale.
 
     Stops hang from a frame that is joined to the wall, on both sides of a rod on their mass.
-    Lengths are not to scale; clearances are in ``units``.
+    ``units`` name the unit of the clearances, which are written beside the stops.
     """
     unit = f" {units.quantity('displacement')}" if units else ""
     count = min(system.n, SHOWN_MASSES)

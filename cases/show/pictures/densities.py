@@ -38,10 +38,10 @@ POINTS, MAP_POINTS, SHEET = 301, 61, 72
 """Points of a curve, and points an axis of a map and of a surface."""
 
 MARKED, MAP_BINS = 48, 40
-"""Points of a curve that is sampled, and about as many bins an axis of a sampled map."""
+"""Points drawn of a sampled density of one coordinate; bins on each axis of a sampled map."""
 
 LOG_TAIL = 1e-6
-"""Share of the largest value at which a logarithmic scale ends."""
+"""Share of the largest density below which a logarithmic axis shows nothing."""
 
 HEIGHT, ALONE, ROW = 2.7, 1.6, 0.9
 """Height in inches of the axes of densities, and of differences of a lone curve or one of many."""
@@ -58,7 +58,10 @@ CAPTIONS = {
 def line_pictures(
     curves: Sequence[Answers], observable: Observable
 ) -> Iterator[tuple[str, str, Figure]]:
-    """Yield file stem, caption and figure of all pictures over one coordinate."""
+    """Yield file name without ending, caption and figure of all pictures over one coordinate.
+
+    The densities, linear and logarithmic, ``solver_differences`` and ``theory_differences``.
+    """
     name = observable_name(observable)
     curves = sorted(curves, key=lambda c: c.value or 0.0)
     panel = density_panel(curves, observable)
@@ -79,7 +82,10 @@ def line_pictures(
 
 
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
-    """Yield file stem, caption and figure of all pictures of a pair of coordinates."""
+    """Yield file name without ending, caption and figure of all pictures of a pair.
+
+    Contours, differences of two solvers, and surfaces unless ``fall_exponentially``.
+    """
     name = observable_name(observable)
     stem, log = name.replace(",", "_"), fall_exponentially(observable)
     figure = joint_figure(curve, observable, log=log)
@@ -104,7 +110,10 @@ def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str
 def joint_figure(
     curve: Answers, observable: Observable, *, log: bool, figure: Figure | None = None
 ) -> Figure:
-    """Draw the joint density of ``observable`` by every route drawn, on common levels."""
+    """Draw contours by every route drawn, on common levels, logarithmic with ``log``.
+
+    ``figure`` None: in a new figure.
+    """
     fields = [f for f in joint_fields(curve, observable, log=log) if f.shown]
     return contour_figure(fields, density_words(observable), figure=figure)
 
@@ -117,7 +126,8 @@ def fall_exponentially(observable: Observable) -> bool:
 def stops_of(curves: Sequence[Answers], observable: Observable) -> list[float]:
     """Return the places, ascending, at which the observed displacement touches its stops.
 
-    The stops of all curves, each once; negative on the left, -0.0 without a gap.
+    The stops of all curves, each once: −clearance of a left stop, -0.0 without a gap. Empty unless
+    the observable is a displacement; raises ``ValueError`` for a pair.
     """
     (c,) = observable
     every = [s for curve in curves for s in curve.system.stops if c.kind == "q"]
@@ -161,14 +171,14 @@ def density_panel(
 def panel_of(
     curves: Sequence[Curve], observable: Observable, *, log: bool, stops: Sequence[float] = ()
 ) -> Panel:
-    """Return the panel of densities of one coordinate."""
+    """Return the panel of densities with ``stops``; ``log``: down to ``LOG_TAIL``, else from 0."""
     scales: Any = {"logarithmic": False, "y_logarithmic": log, "lowest": LOG_TAIL if log else 0.0}
     words = words_of(observable[0]), density_words(observable)
     return Panel("", *words, curves, **scales, by_x=True, zero=True, stops=stops)
 
 
 def lone_density(density: AnyDensity, *, log: bool) -> Panel | Field:
-    """Return one density with a band of ± its error, or as a map of a pair of coordinates."""
+    """Return one density ± its error, or a map of a pair; ``log``: on a logarithmic scale."""
     observable, name = density.observable, density.name
     if len(observable) == 2:
         axes, mesh = _map_axes([density], observable)
@@ -180,9 +190,10 @@ def lone_density(density: AnyDensity, *, log: bool) -> Panel | Field:
 def solver_differences(
     curve: Answers, observable: Observable, x: Array, number: int
 ) -> Panel | None:
-    """Return the difference of two solvers of one averaged equation, and the errors they state.
+    """Return the difference at ``x`` of two solvers of one averaged equation, and a band.
 
-    None if no equation has two solvers here. ``number`` of the curve, from 0, gives its colour.
+    The band is ± the sum of their stated errors. None if no equation has two solvers here.
+    ``number`` of the curve, from 0, gives its colour.
     """
     if (pair := solver_pair(curve, observable)) is None:
         return None
@@ -196,10 +207,10 @@ def solver_differences(
 def theory_differences(
     curve: Answers, observable: Observable, x: Array, number: int
 ) -> Panel | None:
-    """Return simulation minus theory for every theory drawn, and two standard errors.
+    """Return simulation minus theory in the bins within ``x``, and a band of ± 2 standard errors.
 
-    None without a simulation of the full system. ``number`` of the curve, from 0, gives the colour
-    of all theories, unless the scene has one curve only.
+    There is a curve for every theory in ``lines_of``. None without these or without a simulation of
+    the full system. ``number`` of the curve, from 0, gives the colour if a scene has several.
     """
     sampled = [d for r, d in samples_of(curve, observable).items() if r.solves == "full"]
     theories = lines_of(curve, observable).items()
@@ -223,7 +234,7 @@ def theory_differences(
 def _differences(
     curve: Answers, observable: Observable, curves: list[Curve], allowed: Array, words: str
 ) -> Panel:
-    """Differences of two answers, and the band ± ``allowed`` in which they may lie."""
+    """The panel of ``curves``, all at one x, and a band ± ``allowed`` around 0, named ``words``."""
     x = np.asarray(curves[0].x)
     band = Curve(words, x, 0.0 * x, allowed, style="none", band=True, colour=INK, marker="")
     labels = words_of(observable[0]), density_words(observable, difference=True)
@@ -232,9 +243,10 @@ def _differences(
 
 
 def points_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array, Array, Array]:
-    """Return up to ``count`` equidistant points within ``x`` and the bins, p there and its error.
+    """Return points, p there and one standard error, at up to ``count`` equidistant points.
 
-    Points at which the error exceeds the value are left out.
+    They lie within the bins and between the first and last of ``x``; points at which the error is
+    not below p are left out.
     """
     edges = sampled.edges[0]
     ends = np.linspace(max(x[0], edges[0]), min(x[-1], edges[-1]), count + 1)
@@ -245,10 +257,10 @@ def points_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array,
 
 
 def joint_fields(curve: Answers, observable: Observable, *, log: bool) -> list[Field]:
-    """Return the joint density of a pair by every route, on common levels; ``log``: by decades.
+    """Return the joint density of a pair by every route, on common levels; ``log``: logarithmic.
 
-    A function has values at points, a sample the values of its bins. Solvers that are not drawn are
-    there, not shown.
+    A function has values at points, a sample the values of its bins. Second solvers of an equation
+    have ``shown`` False.
     """
     densities = curve.densities(observable)
     drawn = lines_of(curve, observable)
@@ -274,7 +286,7 @@ def joint_fields(curve: Answers, observable: Observable, *, log: bool) -> list[F
 def _map_axes(
     densities: Iterable[AnyDensity], observable: Observable
 ) -> tuple[tuple[Axis, Axis], list[Array]]:
-    """The axes of a map of the densities, their words with units, and the mesh of its points."""
+    """The two axes of a map of the densities, and their mesh: two arrays (x, y)."""
     grid = common_grid(densities, cut=SHOWN, count=MAP_POINTS)
     x, y = (Axis(str(c), words_of(c), g, False) for c, g in zip(observable, grid, strict=True))
     return (x, y), list(np.meshgrid(*grid, indexing="ij"))
@@ -283,7 +295,7 @@ def _map_axes(
 def _on_common_levels(
     fields: list[Field], observable: Observable, curves: Sequence[Answers], *, log: bool
 ) -> list[Field]:
-    """The fields on levels up to the largest value of all, with the stops of ``curves``."""
+    """Copies of the fields with levels from 0 to the largest value, and the stops of ``curves``."""
     stops = stops_of(curves, observable[:1]), stops_of(curves, observable[1:])
     limits = 0.0, max(float(field.values.max()) for field in fields)
     own: Any = {"logarithmic": log, "limits": limits, "lowest": SHOWN, "stops": stops}
@@ -291,7 +303,7 @@ def _on_common_levels(
 
 
 def surface_figure(curve: Answers, observable: Observable) -> Figure:
-    """Draw the joint density as surfaces on the same levels: theory and simulation.
+    """Draw the joint density as surfaces of the same height scale: one theory and simulations.
 
     The theory is the exact density if it is known, else an averaged theory; theories that neglect
     something, the contacts for example, come last.

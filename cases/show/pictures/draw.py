@@ -38,7 +38,7 @@ def column_figure(
 ) -> Figure:
     """Draw the panels below each other over one x axis, ``height`` inches each.
 
-    The legend of all stands above. ``figure`` None: a new one.
+    One legend stands above all. ``figure``, if given, is drawn into and resized, else a new figure.
     """
     figure = figure or Figure()
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -74,7 +74,7 @@ def column_figure(
 
 
 def study_figure(panels: Sequence[Panel | Field]) -> Figure:
-    """Draw the panels, two in a row; the legend of each stands below it, where no curve passes."""
+    """Draw the panels in a new figure, two in a row, the legend of each below it."""
     columns = min(2, len(panels)) or 1
     rows = ceil(len(panels) / columns) or 1
     entries = max((len(panel.curves) for panel in panels if isinstance(panel, Panel)), default=0)
@@ -105,7 +105,10 @@ def study_figure(panels: Sequence[Panel | Field]) -> Figure:
 
 
 def contour_figure(fields: Sequence[Field], label: str, *, figure: Figure | None = None) -> Figure:
-    """Draw the fields on common levels, two in a row, with one bar of colours for ``label``."""
+    """Draw contours of the fields, two in a row, with one bar of colours that ``label`` names.
+
+    All fields must have the limits, scale and axes of the first. ``figure`` None: a new figure.
+    """
     columns = min(2, len(fields))
     rows = ceil(len(fields) / columns)
     figure = figure or Figure()
@@ -127,9 +130,9 @@ def contour_figure(fields: Sequence[Field], label: str, *, figure: Figure | None
 
 
 def draw_curves(axes: Axes, panel: Panel, *, ink: bool = False) -> dict[str, Artist]:
-    """Draw the curves shown; return the handles of the legend by their words.
+    """Draw a panel into ``axes``, curves only if ``shown``; return legend handles by their words.
 
-    ``ink``: names have the colour of the text in the legend, as they do where groups have colours.
+    ``ink``: the legend has names in the colour of text, as always if there are several groups.
     """
     axes.set(title=panel.title, xlabel=panel.x, ylabel=panel.y)
     axes.set_xscale("log" if panel.logarithmic else "linear")
@@ -170,7 +173,7 @@ def draw_curves(axes: Axes, panel: Panel, *, ink: bool = False) -> dict[str, Art
 
 
 def _line_style(curve: Curve, marker: str) -> dict[str, Any]:
-    """How matplotlib draws the line and the markers of a curve: filled where a line joins them."""
+    """Arguments of ``Axes.plot`` for a curve; markers are filled only on a solid line."""
     own: dict[str, Any] = {"linestyle": "none"}
     if curve.style != "none":
         own = {"linestyle": dash_pattern(curve.style), "linewidth": 1.2 if marker else 1.6}
@@ -182,12 +185,12 @@ def _line_style(curve: Curve, marker: str) -> dict[str, Any]:
 
 
 def dash_pattern(style: str) -> Any:
-    """Return the dashes of ``DASHES`` as matplotlib takes them."""
+    """Return the dashes of ``style``, a key of ``DASHES``, as a ``linestyle`` of matplotlib."""
     return (0, [float(v) / 2.0 for v in DASHES[style].split()]) if DASHES[style] else "-"
 
 
 def _finish(axes: Axes, panel: Panel) -> None:
-    """Set the ends of the axes, then mark levels and stops, and shade the side beyond a stop."""
+    """Set the ends of ``axes``, mark levels and stops, and shade the side beyond a stop."""
     x = panel.shared_x()
     marked = any(curve.style != "none" and marker for curve, _, marker, _ in panel.styled())
     if x.size > 1 and not marked:
@@ -221,9 +224,9 @@ def _finish(axes: Axes, panel: Panel) -> None:
 
 
 def draw_map(axes: Axes, field: Field, *, contours: bool = False) -> tuple[dict[str, Artist], Any]:
-    """Draw a field as cells, or as filled contours between its points.
+    """Draw a field into ``axes`` as cells around its points, or as filled ``contours``.
 
-    Returned are the handles of a legend by their words, and the artist whose colours a bar shows.
+    Return the handles of a legend by their words, and the artist whose colours a bar shows.
     """
     low, high = field.limits or (np.nanmin(field.values), np.nanmax(field.values))
     palette: dict[str, Any] = {"cmap": "viridis", "norm": Normalize(low, high)}
@@ -258,7 +261,7 @@ def draw_map(axes: Axes, field: Field, *, contours: bool = False) -> tuple[dict[
 
 
 def _edges(axis: Axis) -> Array:
-    """Cell edges halfway between the values, on the axis' own scale."""
+    """Cell edges (points + 1,) halfway between the values, of logarithms on a logarithmic axis."""
     u = np.log(axis.values) if axis.logarithmic else axis.values
     middles = 0.5 * (u[1:] + u[:-1])
     edges = np.concatenate([[2.0 * u[0] - middles[0]], middles, [2.0 * u[-1] - middles[-1]]])

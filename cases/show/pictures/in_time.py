@@ -31,11 +31,12 @@ RARE = 0.05
 """Probability of failure at the last time below which it is drawn instead of the reliability."""
 
 SHADES = 0.05, 0.88
-"""Part of the colours of many times, first to last: the rest is too light on white."""
+"""Ends of the used part of a colour map, 0 to 1, for more times than there are ``COLOURS``: the
+rest is too light on white."""
 
 
 def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
-    """Yield file stem, caption and panel of every question that has an answer to be drawn."""
+    """Yield file name, ending with ``label``, caption and panel of every question to be drawn."""
     suffix = f", {curve.label}" if curve.label else ""
     for k, replies in enumerate(curve.passages, start=1):
         if replies.given and replies.question.times:
@@ -77,7 +78,7 @@ def passage_panel(replies: Replies, title: str) -> Panel:
 
 
 def _curve(route: Route, x: Array, y: Array, error: Array) -> Curve:
-    """A line, or the points of a sample with bars of two standard errors."""
+    """A line ``y`` over ``x``, all (points,), or points with bars ±2 ``error`` of a sample."""
     own = Curve(route.words, x, y, error, brief=route.name, colour=route.colour, bars=2)
     if route.sampled:
         return replace(own, style="none", marker=marker_of(route))
@@ -85,7 +86,7 @@ def _curve(route: Route, x: Array, y: Array, error: Array) -> Curve:
 
 
 def transient_panel(replies: Replies, title: str) -> Panel:
-    """Return the densities at all times: groups are times, names routes."""
+    """Return the densities at all times, each in its window: groups are times, names routes."""
     question, points = replies.question, replies.points
     assert isinstance(question, TransientQuestion) and points is not None
     times, answers = (

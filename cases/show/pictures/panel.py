@@ -56,7 +56,7 @@ class Curve:
 
     @property
     def legend(self) -> str:
-        """The words of the legend of a drawn picture."""
+        """The name in the legend of a drawn picture, with ``±2 s.e.`` if bars of 2 errors are."""
         errors = ", ±2 s.e." if self.bars == 2 and self.marker else ""
         return (self.brief or reader_words(self.name)) + errors
 
@@ -88,7 +88,10 @@ class Panel:
     stops: Sequence[float] = ()
 
     def styled(self) -> list[tuple[Curve, str, str, Array]]:
-        """Return every curve with its colour, its marker and the values that are drawn."""
+        """Return every curve with its colour, key of its marker, and the values y (points,) drawn.
+
+        On a logarithmic axis without ``lowest`` these are at least ``EPS``.
+        """
         rows = []
         for curve, colour, marker in zip(self.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
             own = marker if curve.marker is None else curve.marker
@@ -99,7 +102,7 @@ class Panel:
         return rows
 
     def levels(self) -> list[Record]:
-        """Return place ``y`` and ``words`` of horizontal levels; ``fill``: shaded below."""
+        """Return ``marks`` and ``floor`` as records ``y``, ``words``, ``fill`` (shaded below)."""
         levels: list[Record] = [{"y": y, "words": words, "fill": False} for y, words in self.marks]
         floor = {"y": self.floor, "words": "floor: error of the reference", "fill": True}
         return levels + ([floor] if self.floor is not None else [])
@@ -116,7 +119,7 @@ class Panel:
         return intervals + ([(stop, np.inf) for stop in right] if len(right) == 1 else [])
 
     def record(self, **more: Any) -> Record:
-        """Return the plot of the page's script, with the keys ``more``."""
+        """Return the data of a plot for the page's script; ``more`` adds or replaces keys."""
         x, series = self.shared_x(), []
         for curve, colour, marker, y in self.styled():
             own = {key: getattr(curve, key) for key in ("shown", "notes", "band", "form")}
@@ -142,7 +145,7 @@ class Panel:
         }
 
     def coincidences(self) -> list[str]:
-        """Return in words the lines that are nowhere further apart than the width of a line."""
+        """Return sentences on lines that are nowhere further apart than the width of a line."""
         scale = np.log if self.y_logarithmic else np.asarray
         drawn = [row for row in self.styled() if row[0].shown and len(row[0].y)]
         lines = [(c, scale(y)) for c, _, _, y in drawn if c.style != "none"]
@@ -169,7 +172,10 @@ class Panel:
         return notes
 
     def shared_x(self) -> Array:
-        """Return the x, ascending, at which the values of all curves are asked for; else none."""
+        """Return the x of all lines, or of all curves if none is a line, each once, ascending.
+
+        Empty unless ``by_x``.
+        """
         lines = [c for c in self.curves if c.style != "none" and not c.form] or self.curves
         every = [np.asarray(c.x, dtype=float) for c in lines if self.by_x]
         return np.unique(np.concatenate(every)) if every else np.zeros(0)
@@ -204,7 +210,7 @@ class Field:
     brief: str = ""
 
     def record(self) -> Record:
-        """Return the field of a plot of the page's script."""
+        """Return the data of a field in a plot for the page's script."""
         given = self.values[np.isfinite(self.values)]
         low, high = self.limits or ((given.min(), given.max()) if given.size else (0.0, 1.0))
         error = None if self.errors is None else self.errors.ravel()
@@ -220,9 +226,9 @@ class Field:
 
 
 def map_record(fields: Sequence[Field], **more: Any) -> Record:
-    """Return the plot of the page's script with a map of each field, with the keys ``more``.
+    """Return the data of a plot with a map of each field for the page's script.
 
-    The first field gives the axes and the border.
+    The first field gives the axes, stops and border; ``more`` adds or replaces keys.
     """
     first = fields[0]
     own = [field.record() for field in fields]
@@ -242,7 +248,10 @@ def map_record(fields: Sequence[Field], **more: Any) -> Record:
 
 
 def live_plots(panels: Sequence[Panel | Field], still: str) -> list[Record]:
-    """Return the plots of the script of a page; ``still`` is the figure in whose place they are."""
+    """Return the data of the plots for the page's script: one for each panel, one for all fields.
+
+    ``still`` is the id of the figure that they replace; their ids are ``still_0`` and so on.
+    """
     fields = [panel for panel in panels if isinstance(panel, Field)]
     plots = [panel.record() for panel in panels if isinstance(panel, Panel)]
     plots += [map_record(fields)] if fields else []
@@ -250,12 +259,15 @@ def live_plots(panels: Sequence[Panel | Field], still: str) -> list[Record]:
 
 
 def spans_decades(values: Any) -> bool:
-    """Whether an axis of the values should be logarithmic: their ratio exceeds ``DECADES``."""
+    """Whether all finite ``values`` are > 0 and the largest is > ``DECADES`` times the smallest."""
     given = values[np.isfinite(values)]
     return bool(given.size and given.min() > 0.0 and given.max() > DECADES * given.min())
 
 
 def curves_over(axis: Axis, names: Sequence[str], values: Any, errors: Any) -> list[Curve]:
-    """Return a curve for each of ``names`` with its row of ``values``, unless all are NaN."""
+    """Return a curve for each of ``names`` with its row of ``values`` and ``errors``.
+
+    Both are (names, points); rows without a finite value are left out.
+    """
     rows = zip(names, values, errors, strict=True)
     return [Curve(name, axis.values, y, bar) for name, y, bar in rows if np.isfinite(y).any()]

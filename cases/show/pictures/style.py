@@ -43,10 +43,10 @@ MARKERS = {
     "X": "m-2.4,-2.4l4.8,4.8m0,-4.8l-4.8,4.8",
     "P": "m-3,0h6m-3,-3v6",
 }
-"""Paths of the markers in a page by their names in matplotlib: as many as there are colours."""
+"""SVG paths of the markers in a page by their names in matplotlib, as many as ``COLOURS``."""
 
 SHOWN = 1e-3
-"""Share of the largest value below which a linear axis shows nothing."""
+"""Share of the largest density that limits the coordinates shown with a linear density axis."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
@@ -56,7 +56,7 @@ SHOWN_UNITS: ContextVar[Units] = ContextVar("SHOWN_UNITS", default=NO_UNITS)
 
 @contextmanager
 def in_units(units: Units) -> Iterator[None]:
-    """Return a context in which the axes of pictures say these units."""
+    """Return a context in which ``units`` stand in the words for axes of pictures."""
     token = SHOWN_UNITS.set(units)
     try:
         yield
@@ -65,7 +65,7 @@ def in_units(units: Units) -> Iterator[None]:
 
 
 def density_words(observable: Observable, *, difference: bool = False) -> str:
-    """Return the words for an axis of the density, as ``density p(q₂) [mm⁻¹]``."""
+    """Return words for the axis of a density, or a ``difference``, as ``density p(q₂) [mm⁻¹]``."""
     unit = in_brackets(SHOWN_UNITS.get().density(observable))
     words = "difference of" if difference else "density"
     return f"{words} p({', '.join(map(symbol_of, observable))}){unit}"
@@ -82,7 +82,7 @@ def symbol_of(coordinate: Coordinate) -> str:
 
 
 def words_of(coordinate: Coordinate) -> str:
-    """Return the coordinate in words with its symbol and its unit."""
+    """Return the words for an axis of the coordinate: ``displacement q₂ [mm]``."""
     words = {"q": "displacement", "p": "momentum", "H": "energy"}[coordinate.kind]
     modal = "modal " if coordinate.kind == "H" and coordinate.index is not None else ""
     unit = in_brackets(SHOWN_UNITS.get().coordinate(coordinate))
@@ -125,16 +125,16 @@ def solver_pair(
 
 
 def style_of(route: Route) -> str:
-    """Return the name in ``DASHES`` of a theory's line; the line of the full system is solid."""
+    """Return the key of ``DASHES`` of a route's line: "-" for the full system, else another."""
     averaged = list(dict.fromkeys(r.method for r in ROUTES.values() if r.solves == "averaged"))
     place = averaged.index(route.method) + 1 if route.method in averaged else 0
     return list(DASHES)[min(place, len(DASHES) - 1)]
 
 
 def marker_of(route: Route) -> str:
-    """Return the marker of a route that samples, the same in all pictures.
+    """Return the key of ``MARKERS`` of a route that samples, the same in all pictures.
 
-    Another one for each: simulation, rare events by splitting, the simulated averaged equations.
+    Simulation, rare events by splitting and each simulated averaged equation have their own.
     """
     sampled = sorted((r for r in ROUTES.values() if r.sampled), key=lambda r: r.solves != "full")
     others = [r for r in sampled if r.solves == "averaged"]
