@@ -86,9 +86,9 @@ def solve(
 
     ``observables`` as on the command line: q1, p1, H, H1, or a pair such as "q2,p2". ``methods``
     are names ("exact"), names with a solver ("nonintegrable/fem") or ``Method`` records; left out,
-    every route is taken that applies to the system and does not sample, a slow one within bounds
-    and where it gains something: a simulation is run where it is named ("montecarlo"). ``tol`` is
-    the L1 tolerance of the methods named by strings.
+    every route is taken that applies to the system and does not sample, slow routes within bounds
+    and if they gain something; a simulation is run if it is named ("montecarlo"). ``tol`` is the L1
+    tolerance of the methods named by strings.
 
     Energy averaging, Eq. (11), by finite elements::
 
@@ -151,5 +151,5 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
 
 
 def _presentation_module() -> Any:
-    """Return the module that draws and tabulates answers; it imports matplotlib, so it is late."""
+    """Import, at the first call only, and return the module that draws and tabulates answers."""
     return import_module("cases.show.presented")

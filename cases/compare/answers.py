@@ -129,7 +129,7 @@ class Answers(Mapping[Any, AnyDensity]):
         return any(r.neglected for r in self.results if r.method.route == route)
 
     def is_exact(self, route: Route) -> bool:
-        """Whether ``route`` gives the exact density: by itself, or as condition (8) holds."""
+        """Whether ``route`` has no averaging error: full system, or (8) and no neglected effect."""
         return route.solves == "full" or (self._averaging_is_exact and not self.neglects(route))
 
     @cached_property

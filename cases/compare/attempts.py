@@ -157,11 +157,11 @@ class Attempts:
 def loosen_tolerance(
     ask: Callable[..., Answer], certificates: Callable[[Answer], Iterable[Certificate]]
 ) -> tuple[Answer, str]:
-    """Return the answer ``ask(tol=)`` at its default tolerance (None), or at a looser one.
+    """Return the answer ``ask(tol=)`` at its default tolerance (None), or looser.
 
-    If the default is missed: the answer at the least power of ten that its error meets, up to
-    ``LOOSEST``, and a note on that tolerance; the default answer without a note if no such answer
-    is certified by all its ``certificates``.
+    If its error misses the default: the answer at the least power of ten not below this error, up
+    to ``LOOSEST``, and a note on that tolerance; the default answer and an empty note if no such
+    answer is certified by all its ``certificates``.
     """
     first = answer = ask(tol=None)
     note = ""

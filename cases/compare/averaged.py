@@ -79,7 +79,7 @@ class AveragedSimulation(Method):
         return ROUTES[self.theory, "simulation"]
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method for any ``share``; raise ``NotApplicable`` for constant damping."""
+        """Return the method itself, for any ``share``; ``NotApplicable`` for constant damping."""
         if not system.damping_terms:
             raise NotApplicable("damping is constant: closed-form has the same density")
         return self
@@ -140,7 +140,7 @@ class AveragedSimulation(Method):
         )
 
     def _process(self, system: System) -> Process:
-        """The averaged process; raises ``NotApplicable`` if the theory does not apply."""
+        """Return the averaged process, or raise ``NotApplicable`` if the theory does not apply."""
         from averaging.energy_process import energy_process
         from averaging.modal.analysis import modal_analysis
         from averaging.modal.resonance import require_no_resonance

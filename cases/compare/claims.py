@@ -43,7 +43,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Shape:
-    """L1 distance of a density to the Gaussian of its mean and variance; its ``kurtosis`` − 3."""
+    """L1 distance to the Gaussian of equal mean and variance; ``kurtosis`` is the excess over 3."""
 
     l1: float
     l1_error: float

@@ -31,7 +31,7 @@ from sim.sample.diagnostics import FALSE_ALARMS
 class Quantity:
     """A number that follows from the density of ``observable`` by ``route``, with its error.
 
-    ``quantity`` is its name in tables, as ``contact probability, left stop``, and ``name`` the one
+    ``quantity`` is its name in tables, as ``contact probability, left stop``, and ``name`` the name
     that ``fpk.sweep`` takes, as ``contact_probability(1,left)``. ``reach`` bounds the distance to
     the truth: by numerics the stated error, by chance the quantile that any quantity of the
     observable exceeds at the rate ``FALSE_ALARMS``. ::
@@ -68,9 +68,10 @@ class Quantity:
 def quantities_of(
     system: System, results: Sequence[Result], exceedance: Sequence[Level] = ()
 ) -> tuple[Quantity, ...]:
-    """Return the quantities ``definitions_of`` every density, by observable and route.
+    """Return the quantities of all densities of ``results``, sorted by observable and quantity.
 
-    Routes are in the order of ``Answers.densities``. ``exceedance``: levels a of P(X > a).
+    ``definitions_of`` lists them; routes are in the order of ``Answers.densities``.
+    ``exceedance``: levels a of P(X > a).
     """
     rows = [row for result in results for row in _rows(system, result, exceedance)]
     observables = dict.fromkeys(q.definition.observable for q in rows)
@@ -198,9 +199,9 @@ def _reach(definition: Definition, density: AnyDensity, number: Number, count: i
 def reach_of(density: AnyDensity | None, number: Number, size: float, count: int) -> float:
     """Return a bound of the error of ``number``, which follows from ``density``, None: from none.
 
-    For a sample: Student's t of the batches, and Bernstein's term for a number of the order of
-    ``size`` from few independent samples; inf if its error is 0. ``count`` quantities share the
-    rate ``FALSE_ALARMS``.
+    It is the error and round-off; for a sample Student's t of the batches, and Bernstein's term for
+    a number of the order of ``size`` from few independent samples, or inf if the error is 0.
+    ``count`` quantities share the rate ``FALSE_ALARMS``.
     """
     value, error = abs(number.value), number.error
     if not isinstance(density, SampledDensity):

@@ -20,7 +20,7 @@ class BadInput(ValueError):
     """Input that cannot be used; the message is one line that says how to correct it."""
 
     def __init__(self, message: str) -> None:
-        """Store ``one_line(message)`` as the message."""
+        """Store ``message`` as one line of at most ``LONGEST`` characters, its middle left out."""
         super().__init__(one_line(message))
 
 

@@ -20,7 +20,7 @@ RECORDS = {
     "contact": ("contacts", ("stiffness", "clearance", "exponent")),
     "damping_term": ("damping_terms", ("coefficient",)),
 }
-"""Table of a scene: the field of ``System`` with its records, and their numbers with a path."""
+"""Table of a scene: the field of ``System`` with its records, and numbers that a path can name."""
 PATH = re.compile(r"(\w+)(?:\[([0-9]{1,4})\])?\.(\w+)(?:\[([0-9]{1,4})(?:,([0-9]{1,4}))?\])?")
 
 

@@ -126,9 +126,9 @@ class Scene:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """Return the shipped scenes: name to path.
+    """Return the paths of the shipped scenes by their names.
 
-    An example::
+    ::
 
         sorted(shipped_scenes())
     """

@@ -323,7 +323,7 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
 
 
 def _in_unknowns(ladder: Ladder, key: str) -> Curve:
-    """Return the error of name ``key`` over the unknowns, with the order of theory, if any."""
+    """Return the curve of error ``key`` over the unknowns; dashed: the order of theory, if any."""
     N = np.array([level.unknowns for level in ladder.levels], dtype=float)
     e = np.array([level.errors[key] for level in ladder.levels])
     notes, verdict = [level.settings for level in ladder.levels], ladder.verdicts[key]

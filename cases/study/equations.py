@@ -39,9 +39,9 @@ from fpk.system.process import Process
 from fpk.system.system import System
 
 ELEMENTS = {1: {1: 8, 2: 8, 4: 8, 8: 2}, 2: {1: 4, 2: 3, 3: 3, 4: 2, 8: 1}}
-"""Elements on each axis of the coarsest mesh, by the number of energies and the degree."""
+"""Number of elements on each axis of the coarsest mesh, by number of energies and degree."""
 MESHES = {1: 7, 2: 5}
-"""Meshes of a study in h, each the bisection of the previous, by the number of energies."""
+"""Number of meshes of a study in h, each the bisection of the previous, by number of energies."""
 P_DEGREES = (1, 2, 3, 4, 6, 8, 10, 12)
 """Degrees of a study in p on one mesh."""
 TOLERANCE_DIGITS = 12

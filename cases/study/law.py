@@ -152,9 +152,10 @@ def _law(
 ) -> tuple[Law, Level]:
     """Return the law of a scheme and the level that tests it.
 
-    The bias is read from a run at the largest stable step, ``factor`` times the chosen step; noise
-    and speed from a second run at 0.7 of it or at the chosen step. The distance of the second run
-    must agree with the law: an error that is equal at both steps is no bias of the step.
+    The bias is from the distance to ``reference`` of a run at the largest step, ``factor`` times
+    the chosen step; noise and speed are from a second run at 0.7 of it, at most at the chosen step.
+    The level is honest if the distance of the second run agrees with the law: an error that is
+    equal at both steps is no bias of the step.
     """
     order, observables = SCHEMES[method.scheme].weak_order, [reference.observable]
     few = replace(method, relaxations=4.0 * PILOT)

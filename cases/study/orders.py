@@ -63,8 +63,8 @@ def convergence(
 
     ``floor`` is the error below which the reference resolves nothing.
 
-    "at the floor": the finest error is within ``ABOVE_FLOOR`` of it. "diverging": the last error
-    is not below the first. "oscillating": errors rise between the last four levels. "asymptotic":
+    "at the floor": an error is at most ``ABOVE_FLOOR`` times it. "diverging": the last error is
+    not below the first. "oscillating": errors rise between the last four levels. "asymptotic":
     the last two orders are within ``NEAR_THEORY`` of ``theory``; if that is None (exponential
     convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
     """
@@ -106,7 +106,7 @@ class GridConvergence:
 def grid_convergence(values: Sequence[float], *, theory: float, floor: float) -> GridConvergence:
     """Return f₁ + (f₁ − f₂)/(2ᵖ − 1) and F |f₁ − f₂|/(2ᵖ − 1) from the three finest levels.
 
-    ``values`` of a functional are on at least three meshes, each the bisection of the previous one.
+    ``values`` of a functional are on three or more meshes, each the bisection of the previous mesh.
 
     F = 1.25 and p = ``theory`` if the observed order is within ``TRUSTED`` of it ("asymptotic");
     else F = 3 and p is the observed order, between 0.5 and theory (Oberkampf and Roy, Table 8.1).

@@ -70,7 +70,7 @@ class NotTimed:
 
     @property
     def wrong(self) -> bool:
-        """Whether an answer disagrees that is not of a baseline."""
+        """Whether an answer disagrees and the route is no baseline."""
         return not (isnan(self.distance) or self.baseline)
 
 
@@ -94,7 +94,7 @@ def price_route(
 def answers_by_tolerance(
     solve: Callable[[float], T], error_of: Callable[[T], float], tolerances: Iterable[float]
 ) -> list[tuple[Level, T]]:
-    """Return the timed answers of ``solve`` to falling tolerances until the first that is not met.
+    """Return the timed answers of ``solve`` to falling tolerances, the first not met the last.
 
     ``error_of`` returns the error that an answer states, of the same kind as the tolerances.
     """
@@ -235,7 +235,7 @@ def _rate(
 def _price_sampling(rate_at: Callable[[None], Number]) -> list[tuple[Level, Number]]:
     """Return the level of ``LEAST_PATHS``, and modelled levels of relative errors 0.1 to 1e-4.
 
-    Error² falls as 1/time. Each level stands beside the one rate ``rate_at(None)``.
+    Error² falls as 1/time. Each is beside the same rate, ``rate_at(None)``.
     """
     rate, seconds = time_call(partial(rate_at, None))
     error = _relative(rate)

@@ -111,8 +111,8 @@ def time_simulation(
 def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> float | None:
     """Return the largest step, as a ratio to the chosen step, whose trial shows no instability.
 
-    None if there is none down to ``SMALLEST_FACTOR``, or a trial of a small step takes more than
-    ``patience`` seconds of processor time.
+    None if there is none down to ``SMALLEST_FACTOR``, or if an unstable trial below ``SMALL_STEP``
+    takes more than ``patience`` seconds of processor time.
     """
     trial = replace(method, paths=LEAST_PATHS, relaxations=TRIAL, burn_in=1.0)
     factor = LARGEST_FACTOR
@@ -132,7 +132,7 @@ def largest_stable(system: System, method: MonteCarlo, *, patience: float) -> fl
 
 
 def deterministic(solves: Solves) -> list[Method]:
-    """Return the quick methods, not sampled, that solve the full or an averaged equation."""
+    """Return the quick methods without sampling that solve the "full" or an "averaged" equation."""
     routes = [r for r in all_routes() if r.solves == solves and not r.sampled and r.quick]
     return [route.make() for route in routes]
 
@@ -140,7 +140,7 @@ def deterministic(solves: Solves) -> list[Method]:
 def best_answer(
     methods: Sequence[Method], system: System, observable: Observable, problems: list[str]
 ) -> tuple[str, AnyDensity] | None:
-    """Return the label and density of the certified answer with the smallest stated error.
+    """Return label and density of the certified answer with the least stated error, 0 if sampled.
 
     An answer that is not certified is taken if there is no other. Appends to ``problems`` the
     failed checks of the answer, or without an answer the methods that failed.

@@ -56,7 +56,7 @@ def sweep_point(
 
     @cache
     def reference(observable: Observable) -> tuple[str, AnyDensity, tuple[str, ...]]:
-        """Return route and density of the full system, and its failed checks."""
+        """Return label and density of the best route of the full system, and its failed checks."""
         problems: list[str] = []
         best = best_answer(deterministic("full"), system, observable, problems)
         if best is None and solver is not None:
@@ -101,7 +101,7 @@ def _values(
     most = int(max((q.at or 0.0 for q in own if q.kind == RELAXATION), default=0.0))
 
     def ask(method: Any, question: str, of: str) -> Answer:
-        """Return the first passage from rest, all upcrossing rates, or the slowest rates."""
+        """Return the first passage of ``of`` from rest, its upcrossings, or the slowest rates."""
         how: Any = {"tol": None, "progress": silent}
         if question == "passage":
             first = PassageQuestion(parse_limit(of, system.n), REST)

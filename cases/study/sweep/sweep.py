@@ -98,7 +98,7 @@ class Sweep:
         return {"scene": self.name, **own, "axes": axes}
 
     def field(self, key: str) -> Any:
-        """Return the field ``key`` of all values, (quantity, method, axes); NaN for None."""
+        """Return field ``key`` of every ``Value``, (quantity, method, axes); NaN for no number."""
         sizes = [axis.values.size for axis in self.axes]
         rows = [[getattr(answer, key) for answer in point.answers] for point in self.points]
         kind = float if key in ("value", "error") else None
