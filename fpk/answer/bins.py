@@ -24,7 +24,7 @@ from fpk.numeric.arrays import LARGEST_LOG, ROUND_OFF, Array, Integers
 from fpk.numeric.quadrature import panel_rule
 
 LogReference = Callable[[Array, Integers], Array]
-"""Function of values x and their bins that returns ln r, up to a constant, such as −U/kT."""
+"""Function ln r + constant, such as −U/kT, of values x and their bin numbers, in their shape."""
 Bins = tuple[int, ...]
 """One bin number for each axis."""
 
@@ -39,31 +39,31 @@ coordinates."""
 PER_COEFFICIENT = 30
 """Smallest number of independent samples for each coefficient: its error is then about 20 %."""
 PER_BATCH = 10
-"""Samples in a batch above which the mean of all batches is nearly normal."""
+"""Independent samples in a batch above which the mean of all batches is nearly normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
-"""Largest numbers of Newton steps and of halvings of each; (distance from the maximum / sampling
-error)² at which the iteration ends."""
+"""Largest numbers of Newton steps and of halvings of each step; (distance of θ from the maximum of
+the likelihood / sampling error of θ)² at which the iteration ends."""
 
 PRIOR_WIDTH = 10.0
-"""Standard deviation of the Gaussian prior of each coefficient: larger than changes of ln p/r in a
-box, and effective only where there are no samples."""
+"""Standard deviation of the Gaussian prior of each coefficient but the constant: larger than
+changes of ln p/r in a box, and effective only in parts of a box that have no samples."""
 DOUBT, ALARM = 0.01, 1e-6
 """False-alarm rates of the tests of a fit: to halve its box, and to report it as wrong."""
 STEEPEST = 2.0
-"""Change of ln p from bin to bin above which bin contents no longer determine the density."""
+"""|Change of ln p| from bin to bin above which bin contents no longer determine the density."""
 
 
 def no_reference(x: Array, bins: Integers) -> Array:
-    """Return ln r = 0 for values ``x`` in ``bins``: no reference."""
+    """Return ln r = 0 in the shape of ``x``, for the reference r = 1; ``bins`` has no effect."""
     return np.zeros_like(x)
 
 
 @dataclass(frozen=True, eq=False)
 class BinAxis:
-    """Bins of one coordinate between ascending ``edges``, with the reference density r.
+    """Bins of one coordinate between ascending ``edges`` (bins + 1,), with the reference density r.
 
     ``kinks`` are the edges at which p is not smooth. Between kinks bins are equally wide, but above
-    an edge in ``widening`` the k-th edge lies at k⁴ times the width of the first bin.
+    a kink in ``widening`` the k-th edge is k⁴ times as far as the first. ``log_reference``: ln r.
     """
 
     edges: Array
@@ -77,7 +77,7 @@ class BinAxis:
         return sorted({0, self.edges.size - 1, *np.searchsorted(self.edges, self.kinks).tolist()})
 
     def number(self, x: Array, bins: Integers) -> Array:
-        """Return the bin number at ``x`` in ``bins``: an integer at edges, smooth between kinks."""
+        """Return fractional bin numbers at ``x`` in ``bins``: k at edge k, smooth between kinks."""
         value = np.empty(x.shape)
         for a, b, interpolant in self._numbers:
             own = (bins >= a) & (bins < b)
@@ -92,22 +92,23 @@ class BinAxis:
 
     @cached_property
     def rule(self) -> tuple[Array, Array]:
-        """Bin numbers at the Gauss points (bins, ``BIN_POINTS``), and their weights times r."""
+        """Fractional bin numbers at Gauss points, and weights times r, (bins, points) each."""
         x, w = panel_rule(self.edges, BIN_POINTS)
         bins = np.broadcast_to(np.arange(len(x))[:, None], x.shape)
         return self.number(x, bins), w * np.exp(self.log_r(x, bins))
 
     def log_r(self, x: Array, bins: Integers) -> Array:
-        """Return ln r at ``x`` in ``bins``, raised to −``LARGEST_LOG``/2 so that r is not 0."""
+        """Return max(ln r, −``LARGEST_LOG``/2) at ``x`` in ``bins``, so that r is never 0."""
         return np.maximum(self.log_reference(x, bins), -0.5 * LARGEST_LOG)
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Fit of ln p on the bins ``first`` <= bin < ``last`` of each axis.
+    """Fit ln p = ln r + Σ_j θ_j P_j on the bins ``first`` <= bin < ``last`` of each axis.
 
-    ``theta`` (coefficients,) is empty if p is 0 there; ``deviations`` (batches, coefficients) are
-    the θ of single batches less ``theta``; ``covariance`` is for independent samples. ``chance`` is
+    ``theta`` (coefficients,) is θ, empty if the box has no samples: p is 0 there. ``deviations``
+    (batches, coefficients) are the θ of single batches less ``theta``; ``covariance``
+    (coefficients, coefficients) is the covariance of θ if samples are independent. ``chance`` is
     the p-value of the observed misfit, 0 if ln p changes by more than ``STEEPEST`` from bin to bin.
     """
 
@@ -120,23 +121,26 @@ class Box:
 
     @property
     def degrees(self) -> Integers:
-        """Degrees (axes, coefficients) of the polynomials P_j along each axis."""
+        """Degree (axes, coefficients) of every polynomial P_j along each axis."""
         return polynomial_degrees(len(self.first), self.theta.size)
 
     def basis(self, numbers: Sequence[Array]) -> Array:
-        """Return P_j (points, coefficients) at bin ``numbers`` (points,), one array per axis."""
+        """Return P_j (points, coefficients) at fractional bin ``numbers`` (points,) by axis."""
         ends = zip(numbers, self.first, self.last, self.degrees, strict=True)
         factors = [_polynomials(u, a, b, max(k, default=0))[:, k] for u, a, b, k in ends]
         return reduce(np.multiply, factors)
 
 
 def _polynomials(numbers: Array, first: int, last: int, degree: int) -> Array:
-    """P_0 to P_``degree`` (..., degree + 1) of ``numbers`` from ``first`` to ``last``."""
+    """Return Legendre polynomials (..., ``degree`` + 1) on [``first``, ``last``] at ``numbers``."""
     return np.asarray(legvander(2.0 * (numbers - first) / (last - first) - 1.0, int(degree)))
 
 
 def polynomial_degrees(axes: int, count: int) -> Integers:
-    """Return degrees (axes, count) of ``count`` polynomials of 1 or 2 ``axes``, by total degree."""
+    """Return the degrees (axes, count) of the first ``count`` polynomials of 1 or 2 ``axes``.
+
+    The total degree ascends: 0, 1, 2, … for one axis, (0, 0), (1, 0), (0, 1), (2, 0), … for two.
+    """
     if axes == 1:
         return np.arange(count)[None]
     pairs = [(total - k, k) for total in range(count) for k in range(total + 1)]
@@ -146,11 +150,11 @@ def polynomial_degrees(axes: int, count: int) -> Integers:
 def boxes(
     axes: Sequence[BinAxis], shares: Array, batch_shares: Array, samples: float, *, halve: bool
 ) -> Iterator[Box]:
-    """Yield fits whose boxes cover all bins of ``axes``; no box contains a kink.
+    """Yield fits of p whose boxes cover all bins of ``axes``; kinks are at borders of boxes only.
 
-    ``shares`` (*bins) are the shares of all samples in each bin, ``batch_shares`` (batches, *bins)
-    the shares of single batches; ``samples`` is the number of independent samples. Boxes are only
-    halved if ``halve``.
+    ``shares`` (*bins) are the fractions of all samples in each bin, ``batch_shares`` (batches,
+    *bins) the fractions of the samples of each batch; ``samples`` is the number of independent
+    samples in all bins. Without ``halve`` there is one box between any two kinks.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
@@ -170,10 +174,11 @@ def boxes(
 
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
-    """Halves (first, last) of ``box``, cut across the axis that fits worst, near its middle.
+    """Return the ends (first, last) of the two halves of ``box``, or nothing if it is too small.
 
-    ``shares`` (*bins) are the contents of the box and ``samples`` the independent samples of all
-    bins. Empty if a half would have too few samples or bins for all coefficients.
+    The cut is as near to the middle as leaves each half enough samples and bins for all
+    coefficients, across the axis that fits worst of those that can be cut. ``shares`` (*bins of the
+    box) are fractions of all samples, ``samples`` is the number of independent samples in all bins.
     """
     axes, bins = range(shares.ndim), MAX_FIT_DEGREE + 4  # more than coefficients: a misfit shows
     needed = PER_COEFFICIENT * comb(MAX_FIT_DEGREE + shares.ndim, shares.ndim) / samples
@@ -193,10 +198,12 @@ def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
 def _fit_box(
     axes: Sequence[BinAxis], first: Bins, last: Bins, shares: Array, batches: Array, samples: float
 ) -> Box:
-    """Return the fit of one box of ``axes``, of the highest degree whose likelihood has a maximum.
+    """Return the fit of the box of bins ``first`` <= bin < ``last`` of ``axes``.
 
-    ``shares`` and ``batches`` (see ``boxes``) are those bins from ``first`` to ``last``;
-    ``samples`` are the independent samples of all bins.
+    Its degree is the highest for which there are enough samples and the likelihood has a maximum.
+    ``shares`` (*bins of the box) are the fractions of all samples in its bins, ``batches``
+    (batches, *bins of the box) the fractions of the samples of each batch; ``samples`` is the
+    number of independent samples in all bins.
     """
     many = len(batches)
     if not shares.any():
@@ -231,13 +238,13 @@ def _fit_box(
 
 
 class Model:
-    """Contents of the bins of a box as a function of θ.
+    """Contents ∫p of the bins of a box as a function of the coefficients θ.
 
-    ``design`` (bins, coefficients) are the means of the P_j over each bin.
+    ``design`` (bins, coefficients) are the means of the P_j over each bin, weighted by r.
     """
 
     def __init__(self, axes: Sequence[BinAxis], first: Bins, last: Bins, degree: int):
-        """Evaluate the P_j up to ``degree`` at the Gauss points of bins ``first`` to ``last``."""
+        """Evaluate the P_j up to total ``degree`` on the bins ``first`` <= bin < ``last``."""
         ends = list(zip(axes, first, last, strict=True))
         numbers, weights = zip(*([x[a:b] for x in axis.rule] for axis, a, b in ends), strict=True)
         self.shape = tuple(map(len, numbers))
@@ -252,12 +259,12 @@ class Model:
         self.design = products.reshape(-1, self.powers.shape[1])
 
     def contents(self, theta: Array) -> Array:
-        """Return ∫p over each bin, (bins of all axes,), for the coefficients ``theta``."""
+        """Return ∫p over each bin, flattened to (bins,), for the coefficients ``theta``."""
         split = self.spread(theta)
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return weight · p for ``theta`` at Gauss points, (bins, ``BIN_POINTS``) by axis."""
+        """Return weight · p for ``theta`` at Gauss points, (bins, ``BIN_POINTS``) for each axis."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta
@@ -270,9 +277,9 @@ class Model:
     def solved(self, shares: Array, samples: float) -> tuple[Array, Array, bool]:
         """Return θ of the largest likelihood, the information, and whether the maximum was reached.
 
-        ``shares`` (bins,) are the contents, ``samples`` the independent samples of all bins.
-        Newton's method with halved steps starts from a least-squares fit to ln(count + ½), or from
-        a constant if that is likelier. Coefficients without samples are 0 ± ``PRIOR_WIDTH``.
+        The information (coefficients, coefficients), times ``samples``, is the inverse covariance
+        of θ. ``shares`` (bins,) are fractions of all samples, not all 0; ``samples`` is the number
+        of independent samples in all bins. Coefficients without samples are 0 ± ``PRIOR_WIDTH``.
         """
         constant = np.zeros(self.design.shape[1])
         held, volume = samples * shares + 0.5, self.contents(constant)
@@ -307,7 +314,11 @@ class Model:
 
 
 def _chance_of_highest(box: Box, alone: int | None = None) -> float:
-    """P-value, by Hotelling's T², of zero highest coefficients (of the axis ``alone`` only)."""
+    """Return the p-value, by Hotelling's T², of 0 for the coefficients of the highest degrees.
+
+    ``TESTED_DEGREES`` has the number of total degrees. With ``alone``, an axis from 0, only
+    polynomials of this axis are tested. The result is 1 if there is nothing to test.
+    """
     total = box.degrees.sum(axis=0)
     highest = total > max(0, int(total.max(initial=0)) - TESTED_DEGREES[len(box.first)])
     if alone is not None:
@@ -325,16 +336,17 @@ def _chance_of_highest(box: Box, alone: int | None = None) -> float:
     return float(chdtrc(size, square))
 
 
-def _chance_of_misfit(residuals: Array, held: Array) -> float:
-    """P-value of the largest mean of ``residuals`` (batches, *bins) in blocks of 1, 2, 4, … bins.
+def _chance_of_misfit(residuals: Array, counts: Array) -> float:
+    """Return the p-value, by t-tests, of mean 0 for the sums of residuals in blocks of bins.
 
-    ``held`` (*bins) are the numbers of independent samples in the bins; blocks with few are left
-    out.
+    ``residuals`` (batches, *bins) are summed in blocks of 1, 2, 4, … bins along each axis; the
+    least p-value is multiplied by the number of blocks. ``counts`` (*bins) are the numbers of
+    independent samples; blocks with few are left out. The result is 1 if none remain.
     """
     least, count, batches, size = 1.0, 0, len(residuals), 1
-    while 4 * size <= max(held.shape):
-        blocks, own = residuals, held
-        for axis, bins in enumerate(held.shape):
+    while 4 * size <= max(counts.shape):
+        blocks, own = residuals, counts
+        for axis, bins in enumerate(counts.shape):
             starts = np.arange(0, bins, size)
             blocks = np.add.reduceat(blocks, starts, axis=axis + 1)
             own = np.add.reduceat(own, starts, axis=axis)

@@ -12,14 +12,14 @@ from fpk.numeric.errors import InvalidInput
 Default = TypeVar("Default")
 
 NEGATIVE = -1e-14
-"""Lowest p / max p that counts as round-off of 0; its size is the round-off of a mass."""
+"""Lowest p / max p that counts as round-off of 0; −``NEGATIVE`` is the round-off of ∫p."""
 DISTANCE_FACTOR = 3.0
 """Stated error over the distance to a comparison solution: elements of a higher degree, or coarser
 quadrature. Integrals across kinks (1 − H)^1.5 and (1 − H)^2.5 anywhere in panels were within it in
 97 % of cases. In 3,000 random processes of two energies the true error was 2.1 times the distance
 once, and at most 1.4 times otherwise (test_fpk_plane_random.py)."""
 MISSED = "the estimated error"
-"""First words of the failure whose estimated error exceeds the tolerance."""
+"""First words of the message that an estimated error exceeds the tolerance."""
 
 
 def tolerance(tol: float | None, default: Default) -> float | Default:
@@ -54,7 +54,7 @@ class Measured:
     absolute_error: float = 0.0
 
     def with_failures(self, *words: str) -> Self:
-        """Return a copy with the further failed checks ``words``."""
+        """Return a copy with ``words``, one message per failed check, appended to ``failures``."""
         return replace(self, failures=(*self.failures, *words))
 
 
@@ -79,13 +79,13 @@ class Certificate(Measured):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Checks and numbers by name, without both errors, which the answer gives itself."""
+        """All fields but ``l1_error`` and ``absolute_error``, and ``certified``, by their names."""
         own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
         return own | {"certified": self.certified}
 
     @property
     def besides(self) -> tuple[str, ...]:
-        """Failures other than an estimated error above the tolerance."""
+        """The ``failures`` without the message that the estimated error exceeds the tolerance."""
         return tuple(words for words in self.failures if not words.startswith(MISSED))
 
 
@@ -96,7 +96,7 @@ def largest_measured(values: Iterable[float | None]) -> float | None:
 
 
 def fail_nan(answer: Any) -> None:
-    """Add a failure to the certificate of ``answer`` if a value or an error is NaN."""
+    """Add a failure to ``answer.certificate``, in place, if a value or an error is NaN."""
     if missing := int(np.isnan(answer.values).sum() + np.isnan(answer.errors).sum()):
         words = f"{missing} of the values and errors are not numbers"
         object.__setattr__(answer, "certificate", answer.certificate.with_failures(words))
@@ -105,8 +105,11 @@ def fail_nan(answer: Any) -> None:
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
     """Return the certificate of an answer, by comparing ``measured`` numbers to their limits.
 
+    Failures are p below 0 by more than its stated error, an L1 error above ``tol``, an infinite
+    tail, a mass defect above the L1 error, and a residual or net flux above ``ROUND_OFF``.
     ``tol`` is the tolerance of the L1 error, infinite if there is none. Mass and residual of a
-    ``sampled`` answer are not checked here: its residual is a |z|. A NaN fails every check.
+    ``sampled`` answer are not checked here: its residual is a |z|. A number that is NaN fails its
+    check; a number that is None is not checked. Raises nothing.
     """
     m, failures = measured, list(measured.failures)
     if m.minimum is not None and not m.minimum >= NEGATIVE - m.absolute_error:

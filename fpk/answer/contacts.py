@@ -18,9 +18,10 @@ CLEARANCE_RULE = 2.0
 
 @dataclass(frozen=True)
 class StopClearance:
-    """Clearance of a stop, ``rms`` displacement of its mass without contact, and their ``ratio``.
+    """Clearance of a stop compared with the motion of its mass, counted from 1, without contacts.
 
-    ``rms`` and ``ratio`` are None if the motion without contact is not stationary.
+    ``rms`` is the displacement in the system without contacts, ``ratio`` is ``clearance``/``rms``.
+    Both are None if this motion is not linear or not stationary; ``ratio`` also if ``rms`` is 0.
     """
 
     mass: int
@@ -36,7 +37,7 @@ class StopClearance:
 
 
 def stop_clearances(system: System) -> tuple[StopClearance, ...]:
-    """Return the clearance of every stop over the rms displacement without contacts."""
+    """Return the clearances of all one-sided stops, in the order of ``System.stops``."""
     try:
         rms = np.sqrt(np.diag(stationary_covariance(system))).tolist()
     except NotApplicable:
@@ -69,7 +70,8 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
 
 
 def contact_quantity(name: str, stop: Contact, displacement: Quantities) -> Number:
-    """Return one of the first three ``contact_quantities``, by its ``name``."""
+    """Return the "contact probability", "mean overlap" or "mean force", as ``name`` says, at a left
+    or right ``stop``, from the density of the ``displacement`` of its mass."""
     at = stop.sign * stop.clearance
     if name == "contact probability":
         return displacement.exceedance(at) if stop.sign > 0 else displacement.cdf(at)

@@ -30,9 +30,10 @@ class Density(Quantities):
 
     ``panels`` holds for every axis the ascending nodes between which the density is smooth; the
     first and last are its support. ``pdf`` takes one array per axis (broadcast together) and
-    returns the density, ``pointwise`` the estimate of its error there. ``l1_error`` estimates
-    ∫|p − p_exact|, the mass outside the support included. ``source(observables)`` solves again and
-    returns a ``Result``; the density can be pickled only if it has a source. ::
+    returns the density, ``pointwise`` the estimate of its error there. Outside the support the
+    density is 0, or the negligible tail of a closed form. ``l1_error`` estimates ∫|p − p_exact|,
+    the mass outside the support included. ``source(observables)`` solves again and returns a
+    ``Result``; the density can be pickled only if it has a source. ::
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
@@ -57,7 +58,7 @@ class Density(Quantities):
         return self.described(f"L1 error {self.l1_error:.2g}")
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state to pickle: all fields but the functions, which ``source`` recomputes."""
+        """Return all fields but ``pdf`` and ``pointwise``; ``TypeError`` without a ``source``."""
         if self.source is None:
             words = "does not know what it follows from and cannot be pickled; take it from the"
             raise TypeError(f"the density of {self.name} {words} result of a method")
@@ -65,23 +66,25 @@ class Density(Quantities):
         return {k: v for k, v in self.__dict__.items() if k in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore from ``state``; the first call of a function solves for the density again."""
+        """Set the fields of ``state``. The first call of the density or its error solves again."""
         again = cache(lambda: state["source"]([state["observable"]]).densities[0])
         functions = {k: lambda *x, k=k: getattr(again(), k)(*x) for k in ("pdf", "pointwise")}
         self.__dict__.update(state, **functions)
 
     def __call__(self, *points: ArrayLike) -> Array:
-        """Return the density at ``points``, one number or array per axis."""
+        """Return the density at ``points``, one number or array per axis, in their common shape.
+        Outside the support it is 0, or the negligible tail of a closed form."""
         return np.asarray(self.pdf(*(np.asarray(x, dtype=float) for x in points)))
 
     def at(self, *points: Array) -> tuple[Array, Array]:
-        """Return the density and its error at ``points``, one array per axis, which broadcast.
-        Raises ``InvalidInput`` for another number of arrays."""
+        """Return the density and the estimate of its absolute error at ``points``, one array per
+        axis, which broadcast. Raises ``InvalidInput`` for another number of arrays."""
         require_one_array_an_axis(self.observable, points)
         return self.pdf(*points), self.pointwise(*points)
 
     def cell_averages(self, *edges: Array) -> Array:
-        """Return the mean of the density over each cell of the grid of ``edges``, one per axis."""
+        """Return the mean of the density over each cell of a grid, (cells, ...) by coordinate.
+        ``edges`` are ascending arrays (cells + 1,), one per coordinate."""
         mesh, grids = gauss_grid(list(map(with_points, edges, self.panels)))
         values = self.pdf(*mesh)
         for axis, (e, (x, w)) in enumerate(zip(edges, grids, strict=True)):
@@ -94,7 +97,8 @@ class Density(Quantities):
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) and its error, made of the error of p weighted by |f| and of the tails.
-        ``function`` takes one array per axis and is smooth except at ``kinks`` (one axis only)."""
+        ``function`` takes one array per axis and is smooth except at ``kinks``, which raise
+        ``InvalidInput`` for two axes."""
         panels = (self._axis(kinks),) if kinks else self.panels
         keeps = not kinks and len(panels) == 1  # values of a pair take too much memory to store
         coarse_p, p, e = (self if keeps else replace(self, panels=panels))._at_nodes
@@ -112,10 +116,11 @@ class Density(Quantities):
         return Number(value, error + rounding + abs(value - coarse) + tail)
 
     def _probability(self, low: float, high: float) -> Number:
-        """Return P(``low`` < X <= ``high``).
+        """Return P(``low`` < X <= ``high``) and its error; ``InvalidInput`` for two axes.
 
-        As the total mass is 1, its error is at most the integrated pointwise error inside, and at
-        most that outside the interval. The rest of the L1 error, at least |1 − mass|, is added.
+        As the total mass is 1, the error is at most the pointwise error integrated inside, and at
+        most the pointwise error integrated outside the interval. The rest of the L1 error, at least
+        |1 − mass|, and the tail mass beyond the support are added.
         """
         value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())
@@ -131,7 +136,7 @@ class Density(Quantities):
         return float(self._share(low, high, rows=1)[0])
 
     def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
-        """The first ``rows`` of ``_panel_shares``, integrated from ``low`` to ``high``."""
+        """Return the first ``rows`` of: ∫p, ∫error, round-off of ∫p from ``low`` to ``high``."""
         nodes = self._axis()
         low, high = np.clip([low, high], *nodes[[0, -1]])
         first, last = np.searchsorted(nodes, low), np.searchsorted(nodes, high, side="right") - 1
@@ -155,14 +160,14 @@ class Density(Quantities):
 
     @cached_property
     def _at_nodes(self) -> tuple[Array, Array, Array]:
-        """p at the Gauss points of the coarser rule; p and its error at those of the finer rule."""
+        """p at Gauss points of the coarser rule; p and its error at Gauss points of the finer."""
         coarse, _ = gauss_grid(self.panels, points=GAUSS_RULES[len(self.panels)][1])
         mesh, _ = gauss_grid(self.panels)
         return self.pdf(*coarse), self.pdf(*mesh), self.pointwise(*mesh)
 
 
 def _condition(nodes: Array) -> Array:
-    """1 + |x|/width of the panels between ``nodes``: relative round-off of integrals over EPS."""
+    """1 + max|x|/width (panels,) between ``nodes``: relative round-off of integrals / ``EPS``."""
     largest = np.maximum(np.abs(nodes[1:]), np.abs(nodes[:-1]))
     return np.asarray(1.0 + largest / np.diff(nodes))
 
@@ -181,10 +186,11 @@ def certify_density(
     """Return a density given by functions, with its certificate.
 
     ``panels``, ``pdf`` and ``pointwise`` become fields of ``Density``. ``measured`` comes from the
-    solver, but mass and minimum are measured here; ``tol`` is the L1 tolerance.
-    ``added_error(p, *points)`` is a pointwise error of p that ``measured.l1_error`` does not
-    contain. With ``frame``, a matrix F and panels of y, integrals are taken over x = F y, for a
-    ridge of correlated coordinates that no affordable panels of x resolve.
+    solver, but its mass defect is replaced by |∫p − 1|, and its minimum by the minimum at the Gauss
+    points unless that is higher; ``tol`` is the L1 tolerance. ``added_error(p, *points)`` is a
+    pointwise error of p whose integral is added to ``measured.l1_error``. With ``frame``, a matrix
+    F and panels of y, integrals are taken over x = F y, for a ridge of correlated coordinates that
+    no affordable panels of x resolve. Raises nothing if a check fails: the certificate has it.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)
@@ -219,12 +225,12 @@ AnyDensity = Density | SampledDensity
 
 
 def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
-    """Return ∫|p_a − p_b| as ``distance_with_error`` does, without its error."""
+    """Return ∫|p_a − p_b|; raise ``ValueError`` as ``distance_with_error`` does."""
     return distance_with_error(a, b)[0]
 
 
 def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
-    """Return ∫|p_a − p_b| and the quadrature error of the integral, not that of the densities.
+    """Return ∫|p_a − p_b| and the error of its quadrature; errors of p_a and p_b are not included.
 
     A function is compared with a histogram by its averages over the bins: a sum without quadrature
     error. Panels end where functions of one coordinate cross; for two coordinates the error covers
@@ -263,7 +269,8 @@ def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
 
 
 def bin_differences(sampled: SampledDensity, other: AnyDensity) -> Array:
-    """Return the bin values of ``sampled`` minus the averages of ``other`` over the same bins."""
+    """Return the bin values of ``sampled`` minus the averages of ``other`` over the same bins,
+    (*bins). Raises ``ValueError`` if ``other`` is sampled with other bins."""
     if isinstance(other, Density):
         return sampled.values - other.cell_averages(*sampled.edges)
     if not all(map(np.array_equal, sampled.edges, other.edges)):

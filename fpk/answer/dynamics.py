@@ -24,19 +24,19 @@ from fpk.numeric.quadrature import GAUSS_RULES, gauss_grid
 START_POINTS = 101
 """Number of start energies, from rest to the limit, at which passage moments are given."""
 BEYOND_RANGE = "the mean time to it is beyond the range of double precision; take a lower one"
-"""Refusal of a limit that is hardly ever reached."""
+"""Message for a limit that is hardly ever reached."""
 NO_NOISE_YET = "no noise has acted yet: there is no density"
-"""Refusal of a time before which the modulation is 0."""
+"""Message for a time up to which the modulation is 0."""
 LARGEST_ERROR = 0.1
-"""Largest error of a certified probability; relative or L1 error above which a density counts as
-unknown: its stated errors are then infinite."""
+"""Largest absolute error of a certified P(T > t); relative or L1 error above which a density counts
+as unknown: its stated errors are then infinite."""
 
 
 @dataclass(frozen=True)
 class Curve:
     """Values (points,) of a function of level, frequency or lag, with one certificate for all.
 
-    ``errors`` (points,) are estimates of numerical errors, or standard errors of sampling. ::
+    ``errors`` (points,) are absolute: numerical estimates, or standard errors of sampling. ::
 
         free = fpk.System([1.0], [1.0], [0.1], [0.05])
         spectrum = Linear().spectrum(free, parse_observable("q1", 1), np.linspace(0.0, 2.0, 21))
@@ -50,15 +50,16 @@ class Curve:
     error_kind: ErrorKind = "numerical"
 
     def __post_init__(self) -> None:
-        """Fail the certificate if a value or an error is NaN."""
+        """Add a failure to the certificate if a value or an error is NaN; raise nothing."""
         fail_nan(self)
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Eigenvalues λ of −L, L the generator, in ascending order of their real parts.
+    """Smallest eigenvalues λ ≠ 0 of −L, L the generator, ascending by their real parts, (rates,).
 
-    Correlations decay as e^(−λt). A conjugate pair is represented by its λ with Im λ > 0. ::
+    Correlations decay as e^(−λt). A conjugate pair is represented by its λ with Im λ > 0;
+    ``errors`` (rates,) are estimates of |λ − λ_exact|. ::
 
         rates = NonIntegrable().relaxation(system, 3)
         rates.values, rates.errors
@@ -78,10 +79,10 @@ def certify_rates(
     residual: float | None = None,
     settings: Mapping[str, str | float | int] | None = None,
 ) -> Rates:
-    """Return rates ``values`` (rates,) and absolute ``errors``, with their certificate.
+    """Return rates ``values`` and their absolute ``errors``, (rates,) each, with a certificate.
 
-    ``tol`` is the largest relative error; ``residual`` is relative to the terms of the eigenvalue
-    equation, ``settings`` are for readers.
+    ``tol`` is the largest certified error/|λ|; ``residual`` is relative to the terms of the
+    eigenvalue equation, ``settings`` are for readers.
     """
     relative = float(np.max(errors / np.abs(values)))
     certificate = certify(Measured(relative, None, None, residual, None), tol=tol)
@@ -104,8 +105,8 @@ def certify_curve(
 
     ``values`` and ``errors`` are (points,); ``tol`` is the largest error in units of ``scale`` > 0.
     The certificate takes over mass, tail and failures of the density, except a missed tolerance,
-    and the larger ``residual``. ``positive``, by default ``values``, must not be negative by more
-    than the largest error. ``settings`` are for readers.
+    adds ``failures``, and has the larger residual. ``positive`` (points,), by default ``values``,
+    must not be below 0 by more than the largest error. ``settings`` are for readers.
     """
     relative, given = float(np.max(errors)) / scale, of.certificate
     least = float(np.min(values if positive is None else positive)) / scale
@@ -116,7 +117,7 @@ def certify_curve(
 
 
 def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array]:
-    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at`` (points,), and their errors.
+    """Return Rice's rates ∫_0^∞ (p/m) f(q, p) dp at q = ``at``, and their errors, (points,) each.
 
     f is the density ``joint`` of q and p, m the ``mass``. For samples the error is one standard
     error. Otherwise it is the sum of the integrated error of f, the distance to coarser rules and
@@ -145,8 +146,8 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
 
 
 def require_times(times: Array, *, positive: bool = False) -> Array:
-    """Return ``times``; raise ``InvalidInput`` unless finite, ascending and >= 0, or > 0.
-    ``positive``: the time 0 is refused."""
+    """Return ``times``; raise ``InvalidInput`` unless they are finite, strictly ascending and >= 0,
+    or > 0 if ``positive``."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -176,7 +177,7 @@ class Transient:
     settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fail the certificate if a value or an error is NaN."""
+        """Add a failure to the certificate if a value or an error is NaN; raise nothing."""
         fail_nan(self)
 
 
@@ -211,7 +212,7 @@ class Passage:
     failure_error: Array | None = None
 
     def __post_init__(self) -> None:
-        """Add a failure to the certificate if an error exceeds ``LARGEST_ERROR``; raise nothing."""
+        """If a ``survival_error`` exceeds ``LARGEST_ERROR`` or is NaN, let the certificate fail."""
         unknown = np.flatnonzero(~(self.survival_error <= LARGEST_ERROR))
         if unknown.size and self.certificate.certified:
             k = unknown[0]
@@ -234,10 +235,11 @@ def certify_passage(
 ) -> Passage:
     """Return a first passage computed numerically, with its certificate.
 
-    ``numbers`` are mean, variance and failure rate; ``failure`` is P(T <= t) at ``times``, with
-    ``failure_error``. ``tol`` bounds relative errors of the finite numbers and absolute errors of
-    the probabilities; ``mass_defect`` and ``residual`` are defined in ``Measured``; ``settings``
-    are for readers.
+    ``numbers`` are mean and variance of T and the failure rate; ``failure`` is P(T <= t) at
+    ``times``, with ``failure_error``, (times,) each. ``tol`` bounds relative errors of the finite
+    numbers and absolute errors of the probabilities; ``mass_defect`` and ``residual`` are defined
+    in ``Measured``. ``starts`` are five arrays (starts,): the start energies, then mean, its error,
+    variance and its error from each. ``settings`` are for readers.
     """
     finite = [(x.value, x.error) for x in numbers if x and x.value != np.inf]
     value, error = np.array(finite).reshape(-1, 2).T

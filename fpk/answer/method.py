@@ -20,8 +20,8 @@ Solves = Literal["full", "averaged"]
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity ``value`` = ``expected`` of stationary states, with the ``error`` of the difference,
-    numerical or one standard error of sampling."""
+    """Identity ``value`` = ``expected`` that holds in stationary states, with the ``error`` of
+    ``value − expected``: numerical, or one standard error of sampling."""
 
     name: str
     value: float
@@ -30,17 +30,17 @@ class Identity:
 
     @property
     def z(self) -> float:
-        """Difference in units of its error; inf if the error is 0."""
+        """``(value − expected)/error``; inf unless the error is > 0."""
         return (self.value - self.expected) / self.error if self.error > 0 else float("inf")
 
 
 @dataclass(frozen=True)
 class Result:
-    """Answer of one method: a density for each observable asked for, and how it was obtained.
+    """Answer of one method: a density for each observable requested, and how it was obtained.
 
-    ``seconds`` is wall time; ``settings`` are for readers only; ``neglected`` names effects that
-    the method leaves out; ``partial``: the work was interrupted; ``report`` is the report of a
-    simulation; ``beside`` are densities of further observables.
+    ``seconds`` is wall time; ``identities`` check the answer; ``settings`` are for readers only;
+    ``neglected`` names effects that the method leaves out; ``partial``: the work was interrupted;
+    ``report`` is the report of a simulation; ``beside`` are densities of further observables.
     """
 
     method: "Method"
@@ -94,8 +94,8 @@ class Method(ABC):
         """Return the method at its next finer level of discretisation."""
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as ``fpk run`` uses it unasked, or raise ``NotApplicable``. A slow
-        method limits its work to ``share`` of the usual limit."""
+        """Return the method as used if it was not named: itself. A slow method limits its work
+        to ``share`` of the usual limit, or raises ``NotApplicable`` for ``system``."""
         return self
 
     def refusal(self, system: System, observable: Observable) -> str | None:
@@ -118,8 +118,9 @@ class Method(ABC):
         """Return the densities of ``observables``, and of ``beside`` if they take little more work.
 
         The densities get the settings of the result and, if they are functions, a ``source`` that
-        solves for them again. ``plan`` is the plan of the method, if the caller has it already.
-        Raises ``NotApplicable`` if the method refuses, ``InvalidInput`` for names not parsed. ::
+        solves for them again. ``plan`` is the plan of the method, if the caller has it already;
+        then refusals are not checked. ``progress`` is called as the work advances. Raises
+        ``NotApplicable`` if the method refuses, ``InvalidInput`` for names not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities
@@ -140,7 +141,8 @@ class Method(ABC):
         return replace(result, densities=densities, beside=others_given, seconds=seconds)
 
     def planned(self, system: System, observables: Sequence[Observable]) -> Plan:
-        """Return the plan; raise ``NotApplicable`` if it refuses or the motion escapes."""
+        """Return the plan for ``system``; raise ``NotApplicable`` if there is none, if the method
+        refuses one of the ``observables``, or if the motion escapes."""
         require_held(system)
         plan = self.prepare(system)
         for observable in observables:
@@ -198,6 +200,6 @@ def register_route(route: Route) -> Route:
 
 
 def solvers_of(method: str) -> tuple[str, ...]:
-    """Return the solvers of ``method``: the default first, sampling solvers last."""
+    """Return the solvers of ``method``: the default first, sampling solvers last; () if unknown."""
     own = [route for route in ROUTES.values() if route.method == method]
     return tuple(route.solver for route in sorted(own, key=lambda route: route.sampled))

@@ -31,7 +31,7 @@ class Coordinate:
 
     @property
     def row(self) -> int:
-        """The ``index``, for coordinates other than the total energy H."""
+        """The ``index``, from 0; ``AssertionError`` for the total energy H, which has none."""
         assert self.index is not None
         return self.index
 
@@ -48,8 +48,9 @@ Level = tuple[Observable, float]
 
 
 def parse_observable(text: str, n: int) -> Observable:
-    """Return the observable named by ``text`` in a system of ``n`` masses. Raises ``InvalidInput``
-    for an unknown name, an index above ``n``, or a coordinate named twice."""
+    """Return the observable named by ``text``, such as ``H`` or ``q2,p2``, in a system of ``n``
+    masses. Raises ``InvalidInput`` for an unknown name, an index above ``n``, more than two names,
+    or a coordinate named twice."""
     remedy = f"is not an observable; use q1..q{n}, p1..p{n}, H, H1..H{n}, or two of them as a,b"
     coordinates = []
     for part in text.split(","):
@@ -69,13 +70,13 @@ def observable_name(observable: Observable) -> str:
 
 
 def require_one_array_an_axis(observable: Observable, points: Sequence[Any]) -> None:
-    """Raise ``InvalidInput`` unless ``points`` has an array for each coordinate observed."""
+    """Raise ``InvalidInput`` unless ``points`` has one entry per coordinate of ``observable``."""
     words = f"{observable_name(observable)} takes {len(observable)}, one for each coordinate"
     require(len(points) == len(observable), "arrays of points", len(points), words)
 
 
 def displacement_row(observable: Observable) -> int:
-    """Return the number, from 0, of the mass whose displacement is observed. Raises
+    """Return the number, from 0, of the mass whose displacement ``observable`` is. Raises
     ``InvalidInput`` for any observable that is not one displacement."""
     require_observables([observable])
     if len(observable) != 1 or observable[0].kind != "q":
@@ -85,7 +86,8 @@ def displacement_row(observable: Observable) -> int:
 
 
 def require_observables(observables: Sequence[Any]) -> None:
-    """Raise ``InvalidInput`` unless all are observables: names have to be parsed first."""
+    """Raise ``InvalidInput`` unless all are tuples of ``Coordinate``, as ``parse_observable``
+    returns: a name such as "q2" is refused."""
     for observable in observables:
         parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
         if not parsed or not all(isinstance(c, Coordinate) for c in observable):
@@ -101,10 +103,11 @@ def number_text(value: float) -> str:
 def parse_numbers(
     key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
 ) -> tuple[str, dict[str, float]]:
-    """Return the kind and the named numbers of ``text``, such as ``a=1,b=2``, each given once.
+    """Return the kind and the numbers by name of ``text``, such as ``a=1,b=2``.
 
     ``kinds`` are tuples (kind, allowed names, smallest number of names); the first that fits is
-    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits or a number is not finite.
+    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits, a name is given twice or a
+    number is not finite.
     """
     values: dict[str, float] = {}
     for part in text.split(","):
@@ -124,7 +127,7 @@ def parse_numbers(
 
 @dataclass(frozen=True)
 class Named:
-    """Numbers by the names of their quantities, and the ``kind`` of these quantities."""
+    """Numbers ``values`` by the names of their quantities, and the ``kind`` of the quantities."""
 
     kind: str
     values: Mapping[str, float]
@@ -143,12 +146,13 @@ class Limit(Named):
 
     @property
     def value(self) -> float:
-        """The value, if only one quantity is limited."""
+        """Value of the only limited quantity; ``ValueError`` if several are limited."""
         (value,) = self.values.values()
         return value
 
     def observable(self, n: int) -> Observable:
-        """Return the limited quantity in a system of ``n`` masses, if there is only one."""
+        """Return the only limited quantity in a system of ``n`` masses; ``ValueError`` if there are
+        several."""
         (name,) = self.values
         return parse_observable(name, n)
 
@@ -176,17 +180,17 @@ class Start(Named):
     """Initial state of a motion at time 0.
 
     ``values`` by ``kind``: "state" has displacements q1.. and momenta p1.. (0 unless given, none:
-    rest), "energy" has H, "modal" has all modal energies H1.., and "noise" has the factor ``noise``
-    on D whose stationary state is the initial state.
+    rest), "energy" has H, "modal" has all modal energies H1.., and "noise" has a factor ``noise``:
+    the initial state is stationary under the noise intensity ``noise`` · D.
     """
 
     @property
     def rest(self) -> bool:
-        """Whether the state is rest, as the stationary state without noise also is."""
+        """Whether all values are 0, so that the motion starts at rest, whatever the kind."""
         return not any(self.values.values())
 
     def state(self, n: int) -> "tuple[Array, Array]":
-        """Return q and p, (``n``,) each, of a start of the kind "state"."""
+        """Return q and p, (``n``,) each, 0 unless given, of a start of the kind "state"."""
         import numpy as np  # noqa: PLC0415  (see above)
 
         q, p = (np.array([self.values.get(f"{k}{i + 1}", 0.0) for i in range(n)]) for k in "qp")

@@ -20,17 +20,17 @@ Function = Callable[..., Array]
 ErrorKind = Literal["numerical", "sampling"]
 """Whether an error is an estimate of the numerical error or one standard error of sampling."""
 SUBDIVISION = 1e-5
-"""Largest interpolation error of the quadratic cells of a field, over the largest density."""
+"""Largest interpolation error of a mesh for files (``field_of``), over the largest density."""
 FIELD_CUT = 1e-6
-"""The box of a field contains all points at which the first density exceeds this share of its
+"""The mesh for files covers all points at which the first density exceeds this share of its
 maximum."""
 MOST_CELLS = 60_000
-"""Number of cells at which the refinement of a field ends; its error is stated in any case."""
+"""Number of cells at which the refinement of a mesh for files ends, its error being stated."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number and its error: an estimate of the numerical error, or one standard error.
+    """A number and its absolute error: a numerical estimate, or one standard error of sampling.
 
     An example::
 
@@ -60,17 +60,18 @@ class Quantities(ABC):
         return observable_name(self.observable)
 
     def described(self, error: str) -> str:
-        """Return one line: observable, support, whether certified, and the words ``error``."""
+        """Return class, observable, support, certification and the text ``error`` in one line."""
         support = " x ".join(f"[{x[0]:.3g}, {x[-1]:.3g}]" for x in self.panels)
         certified = "certified" if self.certificate.certified else "not certified"
         return f"{type(self).__name__}({self.name} on {support}; {certified}, {error})"
 
     @abstractmethod
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) of a ``function`` of arrays that is smooth except at its ``kinks``."""
+        """Return E f(X), for a pair E f(X, Y), and its error. f, the ``function``, takes one array
+        per coordinate and is smooth except at ``kinks`` of the only coordinate."""
 
     def probability(self, low: float, high: float) -> Number:
-        """Return P(``low`` < X <= ``high``); raise ``InvalidInput`` if one is no number (±∞ is)."""
+        """Return P(``low`` < X <= ``high``), ±∞ allowed; raise ``InvalidInput`` for NaN or text."""
         return self._probability(_real_number("low", low), _real_number("high", high))
 
     @abstractmethod
@@ -133,7 +134,7 @@ class Quantities(ABC):
 
     def quantile(self, p: float) -> Number:
         """Return x with P(X <= x) = ``p``; its error follows from ``p`` ± the error of P(X <= x).
-        Raises ``InvalidInput`` unless 0 < ``p`` < 1."""
+        Beyond the support it is ±∞, its error ∞. Raises ``InvalidInput`` unless 0 < ``p`` < 1."""
         if not 0.0 < _real_number("p", p) < 1.0:
             raise InvalidInput("p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
@@ -174,7 +175,8 @@ class Quantities(ABC):
         return pyvista.from_meshio(self.to_meshio())
 
     def _axis(self, points: Sequence[float] = ()) -> Array:
-        """Nodes of the only coordinate with all ``points`` inside the support; raise for a pair."""
+        """Return the nodes of the only coordinate with those ``points`` added that are inside the
+        support. Raises ``InvalidInput`` for a pair."""
         if len(self.panels) != 1:
             raise InvalidInput("density", "joint", "of two coordinates: ask for that of one")
         return with_points(self.panels[0], np.asarray(points))
@@ -182,8 +184,11 @@ class Quantities(ABC):
     def _of_moments(
         self, function: Callable[[Complexes], Any], *, pair: bool = False, central: bool = True
     ) -> Number:
-        """``function`` of the moments 1 to 4 (of a ``pair``: of orders 1 and 2), with its error.
-        The moments are about the mean if ``central``, else about 0."""
+        """Return ``function`` of a complex array of moments, with its error.
+
+        The moments are E X to E X⁴, or for a ``pair`` E X, E Y, E X², E XY, E Y², about the mean if
+        ``central``, else about 0. Raises ``InvalidInput`` for the wrong number of coordinates.
+        """
         if not pair:
             self._axis()
         elif len(self.panels) != 2:
@@ -205,7 +210,7 @@ class Quantities(ABC):
 
 
 def _real_number(key: str, value: Any) -> float:
-    """Return ``value``, one real number; raise ``InvalidInput`` of ``key`` for anything else."""
+    """Return ``value``, a real number or ±∞; raise ``InvalidInput(key, ...)`` for any other."""
     if isinstance(value, bool) or not isinstance(value, Real) or isnan(value):
         raise InvalidInput(key, value, "must be one number; of several, ask for each")
     return float(value)
@@ -224,10 +229,10 @@ def with_points(nodes: Array, points: Array) -> Array:
 def largest_in_tails(
     function: Function, panels: Sequence[Array], kinks: Sequence[float] = ()
 ) -> float:
-    """Return the largest |f| on the corners of a box twice as wide as support and ``kinks``.
+    """Return the largest |f|, f the ``function``, on the corners of a box that contains the tails.
 
-    It bounds f in the tails, where densities fall at least exponentially. ``panels`` are the
-    ascending nodes of each axis.
+    It reaches to twice the ends of the support and to ±2 max|``kinks``|. In the tails densities
+    fall at least exponentially. ``panels`` are the ascending nodes of each axis.
     """
     reach = 2.0 * float(np.max(np.abs(kinks), initial=0.0))
     ends = (2.0 * x[[0, -1]] for x in panels)
@@ -236,13 +241,13 @@ def largest_in_tails(
 
 
 def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
-    """Return ``densities``, named by routes, as a mesh of meshio, and its interpolation error.
+    """Return ``densities``, by names of routes, as a ``meshio.Mesh``, and its interpolation error.
 
     The mesh covers the smallest box with all points at which the first density is at least
     ``FIELD_CUT`` of its maximum, and is refined where this density bends. ``point_data`` has
     ``density``, the first, and ``log10 density``, NaN if it is not positive; for every route its
-    density, its stated error, and the difference of the first density and its own. The
-    interpolation error is the largest difference found between cells, in units of the density.
+    density, its stated error, and the first density minus its density. The interpolation error of
+    the first density, in its unit, is measured at the middles between the nodes.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
 
@@ -298,6 +303,7 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
 
 
 def _with_middles(ends: Array, only: Flags | None = None) -> Array:
-    """Sorted ``ends`` of cells with the middles of all cells, or of cells marked by ``only``."""
+    """Return the sorted ``ends`` (cells + 1,) of cells with the middles of all cells added, or of
+    the cells marked by ``only`` (cells,)."""
     middles = 0.5 * (ends[1:] + ends[:-1])
     return np.sort(np.concatenate([ends, middles if only is None else middles[only]]))

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 Answer = TypeVar("Answer")
 Progress = Callable[[int, int, str], None]
-"""Called as ``progress(done, total, what)`` while a method works."""
+"""Called as ``progress(done, total, what)``: ``done`` of ``total`` parts of the work ``what``."""
 Powers = tuple[int, int, int]
 """Exponents of length, mass and time in a unit."""
 
@@ -47,8 +47,9 @@ def silent(done: int, total: int, what: str) -> None:
 class Asked:
     """Arguments of one question as a method receives them; ``Question.takes`` names the fields set.
 
-    ``at`` are levels, angular frequencies or lags (points,), or for densities the points, one array
-    (points,) for each coordinate. ``start`` is a ``fpk.answer.names.Start``, ``limit`` a
+    ``tol`` is the largest allowed error, None for the method's default. ``at`` are levels, angular
+    frequencies or lags (points,), or for densities the points, one array (points,) for each
+    coordinate. ``start`` is a ``fpk.answer.names.Start``, ``limit`` a
     ``fpk.answer.names.Limit``; ``times`` (times,) count from the start; ``count`` is the number of
     relaxation rates.
     """
@@ -65,7 +66,7 @@ class Asked:
 
     @property
     def row(self) -> int:
-        """Number, from 0, of the mass whose displacement is observed."""
+        """Number, from 0, of the mass whose displacement is observed; else ``InvalidInput``."""
         return displacement_row(self.observable)
 
 
@@ -119,8 +120,10 @@ def register_question(question: Question) -> Question:
 def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
     """Return ``function(method, asked)`` as a method that takes the arguments of the question.
 
-    The question has the name of ``function``. Tolerance, observable and points are checked before
-    the call, as the head of this file says.
+    The question has the name of ``function``; its arguments follow the system, then ``tol`` and
+    ``progress`` by keyword. Before the call ``InvalidInput`` is raised unless ``tol`` is > 0 or
+    None; for a curve of one displacement also for another observable or points without an answer,
+    and ``NotApplicable`` if the method refuses the observable.
     """
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]

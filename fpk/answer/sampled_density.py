@@ -28,7 +28,7 @@ from fpk.numeric.quadrature import panel_rule
 Values = tuple[Array, Array]
 """Values and their standard errors."""
 Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
-"""Axes with the reference densities of the fits, and the fits on boxes that cover all bins."""
+"""Axes, with the reference densities of the fits, and fits on boxes that cover all bins."""
 
 
 def standard_error(batches: Array) -> Array:
@@ -67,7 +67,7 @@ class SampledDensity(Quantities):
         return self.described(f"{self.values.size} bins, {self.batch_values.shape[0]} batches")
 
     def __call__(self, *points: ArrayLike) -> Array:
-        """Return the density at ``points``, one number or array per axis."""
+        """Return the density at ``points``, one number or array per axis; 0 outside the bins."""
         return self.at(*(np.asarray(x, dtype=float) for x in points))[0]
 
     @property
@@ -79,17 +79,17 @@ class SampledDensity(Quantities):
 
     @cached_property
     def areas(self) -> Array:
-        """Length or area of each bin."""
+        """Length or area (*bins) of each bin."""
         return np.asarray(reduce(np.multiply.outer, map(np.diff, self.edges)))
 
     @property
     def standard_error(self) -> Array:
-        """Standard errors of ``values``."""
+        """Standard errors (*bins) of ``values``."""
         return standard_error(self.batch_values)
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
         """Return E f(X) and one standard error; f is averaged over each bin by the fitted density.
-        ``function`` takes one array per axis and is smooth except at ``kinks``."""
+        ``function`` takes one array per axis; ``kinks`` only enlarge the bound on f outside."""
         x = [panel_rule(e, BIN_POINTS)[0].ravel() for e in self.edges]
         f = np.asarray(function(*np.meshgrid(*x, indexing="ij")))
         within = self.within
@@ -107,7 +107,7 @@ class SampledDensity(Quantities):
 
     def _probability(self, low: float, high: float) -> Number:
         """Return P(``low`` < X <= ``high``); bins are divided by the fitted density. The standard
-        error is at least one visit."""
+        error is at least ``visit``, plus the tail mass if the interval ends outside the bins."""
         edges = self._axis()
         inside = np.clip(edges, *np.clip([low, high], *edges[[0, -1]]))
         share = np.diff(inside) / np.diff(edges)
@@ -122,8 +122,8 @@ class SampledDensity(Quantities):
         return Number(float(self.values @ held), float(np.hypot(chance, self.visit) + tail))
 
     def joined(self, most: int) -> "SampledDensity":
-        """Return the density with k bins joined to one along every axis. k <= ``most`` is the
-        largest number for which no joined bin contains a kink."""
+        """Return a copy without fits in which k bins are joined to one along every axis. k is the
+        largest number <= ``most`` for which no joined bin contains a kink, at least 1."""
         cuts = [np.diff(axis.cuts) for axis in self.bins]
         factor = max(k for k in range(1, max(most, 1) + 1) if not np.any(np.concatenate(cuts) % k))
         every = np.concatenate([self.values[None], self.batch_values]) * self.areas
@@ -140,8 +140,8 @@ class SampledDensity(Quantities):
     def visit(self) -> float:
         """Share of all samples that one excursion contributes; 0 if ``samples`` is unknown.
 
-        Their number, at least 1, is the variance over the mean of the counts of batches, in cells
-        that some but not all batches visited.
+        The number of its samples, at least 1, is the variance over the mean of the counts of
+        batches, in cells that some but not all batches visited.
         """
         if not self.samples > 0.0:
             return 0.0
@@ -161,7 +161,7 @@ class SampledDensity(Quantities):
         return self.made or self._fitted()
 
     def _fitted(self, *, halve: bool = True) -> Fits:
-        """Fit ln p on boxes of bins, halved if ``halve``."""
+        """Return new fits of ln p on boxes of bins, halved until they fit only if ``halve``."""
         axes = self.bins
         if len(axes) == 2:
             # The reference is the product of fits of each coordinate on unhalved boxes. It matters
@@ -176,7 +176,7 @@ class SampledDensity(Quantities):
             return axes, tuple(boxes(axes, shares, batches, samples, halve=halve))
 
     def alone(self, axis: int) -> "SampledDensity":
-        """Return the marginal density of the coordinate ``axis`` of a pair."""
+        """Return the marginal density of the coordinate ``axis``, 0 or 1, of a pair."""
         width = np.diff(self.edges[1 - axis])
         return replace(
             self,
@@ -191,11 +191,11 @@ class SampledDensity(Quantities):
     def at(self, *points: Array) -> tuple[Array, Array]:
         """Return the density and one standard error at ``points``, one array per axis.
 
-        The error follows from the spread of the batches. Where fewer visits than batches are
-        expected, it is at least the error of Poisson counts. One visit is added, as none of a few
-        expected visits may be observed. At a kink the side with the smaller error is used. Outside
-        the bins the density is 0, with the error at the nearest point inside. Raises
-        ``InvalidInput`` for another number of arrays than axes.
+        The error follows from the spread of the batches. If fewer visits than batches are expected,
+        it is at least the error of Poisson counts. The share ``visit`` over the size of a cell is
+        added. At a kink the side with the smaller error is used. Outside the bins the density is 0,
+        with the error at the nearest point inside. Raises ``InvalidInput`` for another number of
+        arrays than axes.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)
@@ -226,7 +226,8 @@ class SampledDensity(Quantities):
 
     @cached_property
     def within(self) -> Array:
-        """Shares of each bin's mass at its Gauss points, (bins, ``BIN_POINTS``) for each axis."""
+        """Shares, with the sum 1, of each bin's mass at its Gauss points: (bins, ``BIN_POINTS``),
+        for a pair (bins, ``BIN_POINTS``, bins, ``BIN_POINTS``)."""
         axes, every = self.fits
         spread = np.empty([k for axis in axes for k in (axis.edges.size - 1, BIN_POINTS)])
         for box in every:
@@ -247,7 +248,7 @@ class SampledDensity(Quantities):
         return [box for box in self.fits[1] if box.chance < ALARM]
 
     def are_unresolved(self, points: Array) -> Flags:
-        """Return which ``points`` (axes, points) lie in the box of an ``unresolved`` fit."""
+        """Return flags (points,): ``points`` (axes, points) in the box of an ``unresolved`` fit."""
         inside = np.zeros(points.shape[1], dtype=bool)
         for box in self.unresolved:
             ends = zip(points, self.edges, box.first, box.last, strict=True)
@@ -256,13 +257,14 @@ class SampledDensity(Quantities):
         return inside
 
     def _log_p(self, x: Array, bins: Integers) -> Array:
-        """Return ln p of one coordinate at ``x`` by the fits of ``bins``, one-sided at kinks."""
+        """Return ln p of the only coordinate at ``x`` by the fit of the box that has ``bins``, in
+        the shape of both, at least ln ``SMALLEST``."""
         value = self._evaluated(x.reshape(1, -1), bins.reshape(1, -1))[0]
         return np.log(np.maximum(value, SMALLEST)).reshape(x.shape)
 
     def flux(self, weight: Callable[[Array], Array], nodes: Array, at: Array) -> Values:
-        """Return ∫ ``weight``(y) p(x, y) dy at x = ``at`` (points,), and its standard error.
-        ``nodes`` ascend and bound the panels of y."""
+        """Return ∫ ``weight``(y) p(x, y) dy of a pair at x = ``at``, and its standard error,
+        (points,) each. ``nodes`` ascend and bound the panels of y."""
         y, w = (a.ravel() for a in panel_rule(nodes, BIN_POINTS))
         weights, shape = weight(y), (at.size, y.size)
 
@@ -280,8 +282,9 @@ class SampledDensity(Quantities):
         return self._better(np.stack([np.repeat(at, y.size), np.tile(y, at.size)]), on_side)
 
     def _better(self, points: Array, on_side: Callable[[Array, Integers], Values]) -> Values:
-        """Values and errors by ``on_side(points, bins)`` at ``points`` (axes, points). At a kink
-        the side with the smaller error is used; outside the bins values are 0."""
+        """Return values and errors by ``on_side(points, bins)``, ``bins`` the numbers of the bins
+        that contain ``points``, (axes, points) each. At a kink the side with the smaller error is
+        used. Outside the bins values are 0, with the error at the nearest point inside."""
         given, edges = points, self.edges
         points = np.array([np.clip(x, *e[[0, -1]]) for x, e in zip(given, edges, strict=True)])
         ends = zip(edges, points, strict=True)
@@ -300,7 +303,7 @@ class SampledDensity(Quantities):
         return np.where(away, 0.0, value), error
 
     def _evaluated(self, points: Array, bins: Integers) -> tuple[Array, Array, Array, Array]:
-        """p at ``points`` by the fits of ``bins``, both (axes, points), and three measures.
+        """Return p (points,) at ``points`` in ``bins``, (axes, points) each, and three measures.
 
         They are the deviations of ln p of the batches (points, batches), the variance of ln p by
         Poisson's law (points,), and the lengths of cells (axes, points) around the points: the
