@@ -17,7 +17,7 @@ from fpk.system.contact_law import LAWS
 
 @dataclass(eq=False, repr=False)
 class CompiledLaws(types.Type):
-    """Numba type for one ``part`` ("force", "energy" or "slope") of the laws ``names``.
+    """Numba type for one ``part`` ("force", "energy" or "slope") of the contact laws ``names``.
 
     Compiled code evaluates it by ``of_law``. The value is its own type and plain data, so that a
     kernel that closes over it is found again in the disk cache. ``stamps``, fingerprints of the
@@ -44,10 +44,10 @@ def compile_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
 
 
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
-    """Return the source files, below ``root``, on which code compiled with the laws depends.
+    """Return the source files on which code compiled with the laws ``names`` depends.
 
-    ``names`` are the laws. A law typed into an interactive session has no file, and code compiled
-    with it has no disk cache.
+    Files of this program are taken below ``root``, files of users from where they are. A law typed
+    into an interactive session has no file and is left out.
     """
     laws = (Path(getfile(LAWS[name].force)) for name in names)
     own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)
@@ -56,17 +56,17 @@ def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
 
 
 def of_law(function: Any, law: int, overlap: float, exponent: float) -> float:
-    """Evaluate ``function``, made by ``compile_laws``, at ``overlap`` and ``exponent``.
+    """Return force, energy or slope of a law at unit stiffness, at ``overlap`` and ``exponent``.
 
-    ``law`` is the number of the law among its names. Raises ``NotImplementedError`` in Python: only
-    compiled code has an implementation.
+    ``function`` is from ``compile_laws``, ``law`` is the number of the law, from 0, in its names;
+    ``function`` None gives 0. Raises ``NotImplementedError`` in Python: for compiled code only.
     """
     raise NotImplementedError
 
 
 @overload(of_law, jit_options={"fastmath": FLAGS, "error_model": "numpy", "forceinline": True})
 def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
-    """Return the implementation for the type of ``function``; None, for no law, gives 0."""
+    """Return ``of_law`` as a function to compile for the numba type ``function``."""
     if isinstance(function, types.NoneType):
         return lambda function, law, overlap, exponent: 0.0
     compiled = numba.njit(error_model="numpy")  # no liberties: a law is what its file says
@@ -76,7 +76,7 @@ def _of_law(function, law, overlap, exponent):  # type: ignore[no-untyped-def]
         return lambda function, law, overlap, exponent: last(overlap, exponent)
 
     def chosen(first: Any, after: Any) -> Any:
-        """The law ``first`` if the number of the law is 0, else the choice ``after`` it."""
+        """Return f(law, x, e): ``first(x, e)`` if law is 0, else ``after(law − 1, x, e)``."""
         return compiled(lambda law, x, e: first(x, e) if law == 0 else after(law - 1, x, e))
 
     choice = compiled(lambda law, x, e: last(x, e))

@@ -44,7 +44,7 @@ class Contact:
     exponent: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every field and fill in the law's own exponent."""
+        """Check every field, or raise ``InvalidInput``; fill in the law's own exponent."""
         for key, kind, words in (
             ("mass", Integral, "a whole number"),
             ("stiffness", Real, "a number"),
@@ -93,7 +93,7 @@ class Contact:
         return self.exponent
 
     def force(self, overlap: Any) -> Any:
-        """Contact force at an ``overlap`` >= 0 of any shape, Eq. (2)."""
+        """Size >= 0 of the contact force at an ``overlap`` >= 0 of any shape, Eq. (2)."""
         return self.stiffness * LAWS[self.law].force(overlap, self.power)
 
     def energy(self, overlap: Any) -> Any:
@@ -105,7 +105,7 @@ class Contact:
         return self.stiffness * LAWS[self.law].slope(overlap, self.power)
 
     def overlap_at(self, energy: float) -> float:
-        """Return the overlap at a contact ``energy`` > 0; relative error 1e-5, a power law's 0."""
+        """Return the overlap at a contact ``energy`` > 0, relative error 1e-5; 0 for power laws."""
         high = 1.0
         while self.energy(high) < energy:
             high *= 2.0

@@ -76,23 +76,23 @@ class DampingTerm:
         return {"i": self.i, "j": self.j, **powers}
 
     def powers(self, key: str, n: int) -> tuple[int, ...]:
-        """Return the powers of the ``n`` displacements or velocities, ``key`` "q" or "v"."""
+        """Return the exponents (n,) of all displacements or velocities, ``key`` "q" or "v"."""
         power_of: dict[int, int] = dict(getattr(self, key))
         return tuple(power_of.get(mass, 0) for mass in range(1, n + 1))
 
     @property
     def factors(self) -> int:
-        """Number of displacements and velocities in the power c_ij v_i v_j, without H."""
+        """Sum of the exponents of q and v in the dissipated power c_ij v_i v_j, without H."""
         return self.degree - 2 * self.energy + 2
 
     def velocities(self, n: int) -> tuple[int, ...]:
-        """Return the exponents of all ``n`` velocities in the dissipated power c_ij v_i v_j."""
+        """Return the exponents (n,) of all velocities in the dissipated power c_ij v_i v_j."""
         own = (self.row, self.column)
         return tuple(power + own.count(k) for k, power in enumerate(self.powers("v", n)))
 
     def value(self, q: ArrayLike, v: ArrayLike, energy: ArrayLike) -> Array:
-        """Return the term of c_ij at displacements ``q``, velocities ``v`` (..., n) and ``energy``
-        H (...)."""
+        """Return this term of c_ij (...), with its coefficient, at displacements ``q``, velocities
+        ``v``, (..., n) each, and ``energy`` H (...)."""
         q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
         value = np.asarray(self.coefficient * np.asarray(energy, dtype=float) ** self.energy)
         for x, powers in ((q, self.q), (v, self.v)):
@@ -102,7 +102,7 @@ class DampingTerm:
 
 
 def gaussian_moment(covariance: Array, powers: tuple[int, ...]) -> Any:
-    """Return E Π x_a^powers[a] of x ~ N(0, ``covariance``), shape (n, n), by Isserlis' theorem.
+    """Return E Π_a x_a^powers[a] of x (n,) ~ N(0, ``covariance`` (n, n)), by Isserlis' theorem.
 
     Integration by parts, ``E x_a f = Σ_b cov_ab E ∂f/∂x_b``, leads to monomials two degrees lower.
     A ``covariance`` (n, n, m) is a sum of m parts: the result (m, m, ..) is then to be summed over

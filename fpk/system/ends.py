@@ -24,13 +24,14 @@ OUT_OF_RANGE = "the coefficients leave the range of double precision: choose oth
 LOG_RATIOS = np.log(10.0) * np.concatenate(
     [np.arange(-48.0, -3.0, 0.5), np.linspace(-3.0, 3.0, 49), np.arange(3.5, 48.5, 0.5)]
 )
-"""ln(H1/H2) at which two energies far out are tested, in units of their scales. An energy damped by
-another at 1e16 of its scale is kept by noise near 1e-16 of its own, a ratio of 1e32."""
+"""ln(H1/H2) at which two energies far out are tested, in units of their scales. Noise keeps an
+energy near 1e-16 of its scale that another damps at 1e16 of its own: a ratio of 1e32."""
 
 
 @dataclass(frozen=True)
 class BoundaryClass:
-    """Feller class ``kind`` of one ``end`` of an energy, with the ``reason`` in words."""
+    """Feller class ``kind`` of an ``end`` such as "H1 = 0", with the ``reason`` in words. ``kind``
+    may also be "not classified" or, for an end ∞ with outward drift, "not confining"."""
 
     end: str
     kind: str
@@ -38,7 +39,7 @@ class BoundaryClass:
 
 
 def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryClass]:
-    """Return the Feller classes of H_i = 0 and H_i = ∞ of the energy i = ``axis``, from 0.
+    """Return the Feller classes of H_i = 0 and of H_i = ∞, i = ``axis`` counted from 0.
 
     No class takes a boundary condition. At H = 0 with b ~ β H the scale density is ~ H^(−κ) and the
     speed density ~ H^(κ−1), κ = 2 s(0)/β. At infinity the scale function diverges if the drift
@@ -54,7 +55,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
     levels += [level * row for level in (1.0, 10.0) if rest > 1 for row in np.eye(rest)]
 
     def along(share: float) -> tuple[Array, Array, Array, Coefficients]:
-        """H_i = ``share`` times its scale, with s_i and b_ii there for all ``levels``."""
+        """Return H_i = ``share`` times its scale, s_i, b_ii, (levels,) each, and coefficients."""
         energy = np.insert(np.array(levels), axis, share, axis=1) * np.array(process.energy_scales)
         c = process.at(energy)
         return energy[:, axis], c.drift[:, axis], c.diffusion[:, axis, axis], c
@@ -91,7 +92,7 @@ def classify(process: Process, axis: int = 0) -> tuple[BoundaryClass, BoundaryCl
 
 
 def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
-    """Raise ``NotCertified`` if p H of one energy rises at the highest ``energy``.
+    """Raise ``NotCertified`` if p(H) H of one energy rises at the highest ``energy``.
 
     ``energy`` (points,) ascend, with coefficients ``c`` and ``slope`` d ln p/dH there. p has a
     finite integral if the rate d ln(p H)/d ln H = 1 + H slope is negative at the end by more than
@@ -110,7 +111,7 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
 
 
 def require_confined(process: Process) -> None:
-    """Raise ``NotCertified`` if two energies grow to infinity together.
+    """Raise ``NotCertified`` if the two energies of ``process`` grow to infinity together.
 
     Far out dH_i = s_i dt. The ratio H_1/H_2 quickly approaches an attracting value, at which
     s_1/H_1 − s_2/H_2 changes from positive to negative as the ratio grows. Both energies then grow

@@ -37,9 +37,9 @@ GROWS = "the damping does not balance the noise, so the energy grows for ever"
 class Balance(NamedTuple):
     """Highest temperature and energy at which damping dissipates the power of the noise.
 
-    The mean dissipated power P in the Gibbs state exp(−H/``temperature``) has the ``slope`` dP/dθ
-    there; the microcanonical mean balances at ``energy``. Each is 0 if there is no balance. With
-    stops the relative error is a few per cent.
+    In the Gibbs state exp(−H/θ) the mean dissipated power P balances at θ = ``temperature``, with
+    the ``slope`` dP/dθ; the microcanonical mean balances at the ``energy`` H. Without a balance
+    ``temperature`` is 0 and the rest has no meaning. With stops the errors are a few per cent.
     """
 
     temperature: float
@@ -51,7 +51,7 @@ def equivalent_temperature(system: System) -> float:
     """Return the θ at which E Σ c_ij v_i v_j = Σ (f D fᵀ)_ii/m_i in the Gibbs state exp(−H/θ).
 
     It is the largest of several roots, beyond which the damping dominates. With constant damping it
-    is Σ D_ii/m_i / Σ c_ii/m_i.
+    is Σ (f D fᵀ)_ii/m_i / Σ c_ii/m_i.
 
     Raises ``NotApplicable`` if no noise reaches a mass, or the damping never balances it.
     """
@@ -95,7 +95,8 @@ def damping_balance(system: System) -> Balance:
     the Gibbs state is H^k Γ(n)/Γ(n + k) on the energy shell H. With stops local power laws are
     used, which are exact far out: with Z E X ~ θ^a, Z the partition function, E H^e X is
     θ^e E X Γ(a + e)/Γ(a); with Z ~ θ^ν and E X ~ θ^k, X is E X ν^k Γ(ν)/Γ(ν + k) on the shell
-    of energy ν θ. Raises ``NotApplicable`` if the damping does not exceed the noise far out.
+    of energy ν θ. Raises ``NotApplicable`` if, with stops and damping terms, the damping does not
+    exceed the noise far out.
     """
     noise = float(np.sum(np.diag(system.noise_matrix) / system.mass))
     constant = float(np.sum(np.diag(system.damping) / system.mass))
@@ -137,7 +138,8 @@ def damping_balance(system: System) -> Balance:
 
 
 def _last_root(x: Array, share: Array) -> float:
-    """Largest ``x`` at which ``share`` (points,), a power law between points, rises through 1."""
+    """Return the largest ``x`` at which ``share`` rises through 1, ln ``share`` linear between the
+    points; the first x if it is > 1 at all points, the last x if it ends <= 1. Both (points,)."""
     below = np.flatnonzero(share <= 1.0)
     if not below.size or below[-1] == x.size - 1:
         return float(x[0] if not below.size else x[-1])
@@ -181,8 +183,8 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
-    """The θ at which ``constant`` θ + Σ √E X² = ``noise``, X the power of each damping term. The
-    means are over the Gibbs state of the chain without stops."""
+    """Return the θ at which ``constant`` θ + Σ √E X² = ``noise``, means over the Gibbs state
+    without stops. X is the power c_ij v_i v_j of a damping term with θ in the place of H."""
     sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)
@@ -204,10 +206,11 @@ def _temperature_of_sizes(system: System, constant: float, noise: float) -> floa
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
     """Displacements (masses, points) of the contact masses and weights (points,) of a Gibbs mean.
 
-    ``theta`` is the temperature. Along the chain each contact mass is Gaussian about the previous,
-    with the variance θ times the flexibility in between, and is cut off at its stops. With
-    five or more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
-    otherwise few points carry all of the weight.
+    ``theta`` is the temperature. The weights sum to the partition function over its value without
+    stops. Along the chain each contact mass is Gaussian about the previous, with the variance θ
+    times the flexibility in between, and is cut off at its stops. With five or more contact masses
+    ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as otherwise few points carry
+    all of the weight.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]

@@ -16,9 +16,9 @@ LEVEL = 1e8
 """Energy of the starts, in units of the highest energy at which any two rates of damping and
 vibration are equal: there rates differ by a factor of 1e4 for each degree between them."""
 DRAWN, FOLLOWED = 4096, 64
-"""Random states at the energy of the starts, of which a cone of a thousandth of the shell gets
-some, and the most motions that are integrated; these have 128 displacements in all, or eight
-motions, as each step takes the eigenvalues of a matrix."""
+"""Number of random states at the energy of the starts, so many that a cone of a thousandth of the
+shell gets some, and largest number of motions that are integrated from them. For more than two
+masses these are 128/n, but at least 8, as each step takes the eigenvalues of a matrix."""
 STEPS = 3000
 """Largest number of time steps: with a change ``MOVED`` in each, growth by 260 powers of ten or
 95 periods of a vibration."""
@@ -77,10 +77,11 @@ def escape(system: System) -> str | None:
 def _escaping_state(system: System, unit: Array, energy: float, span: float) -> Array | None:
     """Return a state (q, v), (2n,), of a motion that escapes from ``energy``; None if all return.
 
-    Implicit Euler steps with one correction damp vibrations that do not grow; steps are short where
-    the linearised motion grows. A motion has returned when it has lost half of its energy, and has
-    escaped when it leaves the range of double precision or still rises at the end. ``unit`` (2n,)
-    scales (q, v); ``energy/span`` is the lowest energy at which two rates are equal.
+    It is the last state of the motion below ``ESCAPED · energy``. Implicit Euler steps with one
+    correction damp vibrations that do not grow; steps are short where the linearised motion grows.
+    A motion has returned when it has lost half of its energy, and has escaped when it leaves the
+    range of double precision or still rises at the end. ``unit`` (2n,) scales (q, v);
+    ``energy/span`` is the lowest energy at which two rates are equal.
     """
     n, rates, rng = system.n, _motion(system, unit), np.random.default_rng(0)
     # In two thirds of the states about half of the coordinates are small, log-uniformly down to a
@@ -139,7 +140,8 @@ def _escaping_state(system: System, unit: Array, energy: float, span: float) -> 
 
 
 def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array, Array]]:
-    """Function of states x = (q, v)/``unit``, (states, 2n), that returns dx/dt, ∂(dx/dt)/∂x, H."""
+    """Return the function from states x = (q, v)/``unit`` (states, 2n) to dx/dt without noise
+    (states, 2n), ∂(dx/dt)/∂x (states, 2n, 2n) and H (states,)."""
     n, terms, K = system.n, system.damping_terms, system.stiffness_matrix
     powers = np.array([[*t.powers("q", n), *t.powers("v", n)] for t in terms])
     powers[range(len(terms)), [n + t.column for t in terms]] += 1
@@ -175,7 +177,7 @@ def _motion(system: System, unit: Array) -> Callable[[Array], tuple[Array, Array
 
 
 def _term_powers(system: System, z: Array) -> Array:
-    """Power c_ij v_i v_j (terms, states) of each damping term at ``z`` = (q, v), (states, 2n)."""
+    """Dissipated power c_ij v_i v_j (terms, states) of terms at ``z`` = (q, v) (states, 2n)."""
     q, v = z[:, : system.n], z[:, system.n :]
     H, terms = system.hamiltonian(q, v * system.mass), system.damping_terms
     return np.array([t.value(q, v, H) * v[:, t.row] * v[:, t.column] for t in terms])

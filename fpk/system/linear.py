@@ -14,14 +14,14 @@ from fpk.system.system import System
 
 
 def drift_matrix(system: System) -> Array:
-    """Return A, (2n, 2n), of ``dx = A x dt + …`` without contacts, x = (q, p)."""
+    """Return A (2n, 2n) of ``dx = A x dt + …``, x = (q, p), without contacts and damping terms."""
     velocity, nothing = np.diag(1.0 / system.mass), np.zeros((system.n, system.n))
     damping = system.damping * (1.0 / system.mass)
     return np.block([[nothing, velocity], [-system.stiffness_matrix, -damping]])
 
 
 def diffusion_matrix(system: System) -> Array:
-    """Return the diffusion matrix (2n, 2n) of x = (q, p): 2 f D fᵀ for the momenta, else 0."""
+    """Return the diffusion b = σσᵀ (2n, 2n) of x = (q, p): 2 f D fᵀ for the momenta, else 0."""
     return np.asarray(block_diag(np.zeros((system.n, system.n)), 2.0 * system.noise_matrix))
 
 
@@ -74,7 +74,7 @@ def modal_energies(system: System, q: Array, p: Array) -> Array:
 
 
 def decay_time(system: System) -> float:
-    """Return 1/rate of the slowest decay of the linear part; inf if some motion never decays."""
+    """Return 1/min(−Re λ), λ the eigenvalues of ``drift_matrix``; inf if a motion never decays."""
     eigenvalues = np.linalg.eigvals(drift_matrix(system))
     rate = float(-np.max(eigenvalues.real))
     return 1.0 / rate if rate > ROUND_OFF * float(np.max(np.abs(eigenvalues))) else inf
@@ -87,8 +87,8 @@ class LinearCovariance:
     ``shapes`` T (n, n) and ``omega`` (n,) are from ``natural_modes``; ``drift`` is A (2n, 2n) of
     dx = A x dt + …. ``covariance`` (2n, 2n) is V diag(``variance``) Vᵀ with ``axes`` V, variances
     ascending; ``variance_error`` (2n,) are their errors and ``relative_error`` is the largest
-    relative error of the quadratic form. ``residual`` is the largest of the Lyapunov equation,
-    relative to its terms.
+    relative error of a variance E (a·x)² for any a. ``residual`` is the largest of the Lyapunov
+    equation, relative to its terms.
     """
 
     shapes: Array
@@ -105,7 +105,7 @@ class LinearCovariance:
 def linear_covariance(system: System) -> LinearCovariance:
     """Return the covariance Σ of (ω Q, P) of the modes without contacts, from A Σ + Σ Aᵀ + b = 0.
 
-    So every entry of A is a rate of its own mode, and none is lost beside faster modes.
+    In these coordinates A has the rates of every mode, which lose no digits beside faster modes.
     The error estimate is the sum of the last of two corrections, of the effect of a residual of the
     size of its round-off, and of the effect of a round-off of ω with alternating signs.
 

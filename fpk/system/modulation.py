@@ -23,7 +23,7 @@ class Modulation:
     factor: Array
 
     def __post_init__(self) -> None:
-        """Check both lists and store them as read-only arrays."""
+        """Check both lists, or raise ``InvalidInput``; store them as read-only arrays."""
         least, most = 1e-150, 1e150
         for key in ("times", "factor"):
             try:
@@ -62,7 +62,7 @@ class Modulation:
         return Modulation(np.append(0.0, later - time), self(np.append(time, later)))
 
     def energy(self, time: Array) -> Array:
-        """Return ∫e² dt from 0 to ``time``, of any shape."""
+        """Return ∫e² dt from 0 to ``time`` >= 0, of any shape."""
         e, t = self.factor, self.times
         k = np.searchsorted(t, time, side="right") - 1
         whole = np.append(0.0, np.cumsum(np.diff(t) * _square(e[:-1], e[1:])))
@@ -77,7 +77,7 @@ class Modulation:
         return np.asarray(np.sum(np.diff(nodes) * _square(e[..., :-1], e[..., 1:]), axis=-1) / step)
 
     def faded(self, begin: float, end: float, rate: Array) -> Array:
-        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, (…) as ``rate``.
+        """Return ∫e(s)² exp(−rate (end − s)) ds from ``begin`` to ``end``, ``rate`` of any shape.
 
         A negative ``rate`` means growth. The relative error is at most
         ``LARGEST_LOG`` · EPS: 2e-15 by SciPy's 1F1, the rest by exponents up to 700.

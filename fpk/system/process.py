@@ -24,7 +24,7 @@ class Coefficients(NamedTuple):
     ``dissipation`` is the part of the drift due to damping and ``log_density_of_states`` is ln T up
     to a constant: ``s = dissipation + ½ (b T)'/T``. ``relative_error`` estimates the quadrature
     errors of all but b'. It is relative to each coefficient, but for the drift to the sum of the
-    sizes of its two parts, which may cancel.
+    sizes of its two parts, which may cancel. With several energies it is NaN, as is ln T.
     """
 
     drift: Array
@@ -55,7 +55,8 @@ class Process:
     state_damping: bool = False
 
     def at(self, energies: Array) -> Coefficients:
-        """Return s, b, Σ_j ∂b_ij/∂H_j and their error at ``energies`` (points, d), d >= 1."""
+        """Return drift (points, d), diffusion (points, d, d), divergence (points, d) and their
+        error at ``energies`` (points, d), also if d = 1."""
         if self.dimension > 1:
             return self.coefficients(energies)
         c = self.coefficients(energies[:, 0])
@@ -63,8 +64,8 @@ class Process:
         return Coefficients(s, b, divergence, relative_error=c.relative_error)
 
     def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
-        """Return ``energy``, of any shape, clipped to (0, ``last``], and where p is not 0. p is 0
-        outside [0, ``last``], and at H = 0 for more than one degree of freedom."""
+        """Return ``energy``, of any shape, clipped to (0, ``last``], and flags that p is not 0. It
+        is 0 outside [0, ``last``], and at H = 0 for more than one degree of freedom."""
         least = max(ZERO_ENERGY * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
         return np.clip(energy, least, last), above & (energy <= last)
@@ -76,17 +77,17 @@ class Process:
 
     @property
     def energy_scale(self) -> float:
-        """Scale of the only energy."""
+        """Scale of the only energy; ``ValueError`` if there are several."""
         (scale,) = self.energy_scales
         return scale
 
 
 def log_density_slope_error(c: Coefficients) -> Array:
-    """Return a bound of the error of 2s/b by the relative errors of s and b in ``c``."""
+    """Return the error of 2s/b, in its shape, that ``c.relative_error`` causes, for one energy."""
     parts = np.abs(c.dissipation) + np.abs(c.drift - c.dissipation)
     return np.asarray(2.0 * c.relative_error * parts / c.diffusion)
 
 
 def log_density_slope(c: Coefficients) -> Array:
-    """Return d ln p/dH = (2 s − b')/b, the slope of the density of zero flux, from (11)."""
+    """Return d ln p/dH = (2 s − b')/b of the density of zero flux of one energy, from (11)."""
     return np.asarray((2.0 * c.drift - c.divergence) / c.diffusion)

@@ -59,7 +59,7 @@ class System:
     _facts: dict[Callable[..., Any], Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the fields, bring them to matrix form and derive f D fᵀ and K."""
+        """Check the fields, or raise ``InvalidInput``; store matrices, f D fᵀ and K."""
         for key, kind in (("contacts", Contact), ("damping_terms", DampingTerm)):
             given = getattr(self, key)
             fits = isinstance(given, (tuple, list)) and all(isinstance(x, kind) for x in given)
@@ -122,7 +122,7 @@ class System:
 
     @cached_property
     def stops(self) -> tuple[Contact, ...]:
-        """The contacts as one-sided stops."""
+        """The contacts as one-sided stops; "both" gives the left stop, then the right stop."""
         return tuple(stop for contact in self.contacts for stop in contact.one_sided())
 
     @cached_property
@@ -157,7 +157,7 @@ class System:
         return {**self.__dict__, "_facts": {}}
 
     def contact_energy(self, mass: int, q: ArrayLike) -> Array:
-        """Contact energy U_i of ``mass``, counted from 0, at displacements ``q``, Eq. (5)."""
+        """Contact energy U_i, Eq. (5), of ``mass`` i, from 0, at displacements ``q``, any shape."""
         q = np.asarray(q, dtype=float)
         energy = np.zeros_like(q)
         for stop in self.stops:
@@ -166,13 +166,13 @@ class System:
         return energy
 
     def potential(self, q: ArrayLike) -> Array:
-        """Potential V(q) = ½ qᵀ K q + Σ U_i(q_i) of Eq. (5); ``q`` has shape (..., n)."""
+        """Potential V = ½ qᵀ K q + Σ U_i(q_i) (...) of Eq. (5) at ``q`` (..., n)."""
         q = np.asarray(q, dtype=float)
         springs: Array = 0.5 * np.einsum("...i,ij,...j->...", q, self.stiffness_matrix, q)
         return springs + sum(self.contact_energy(i, q[..., i]) for i in self.contact_masses)
 
     def hamiltonian(self, q: ArrayLike, p: ArrayLike) -> Array:
-        """Hamiltonian H(q, p) of Eq. (5); ``q`` and ``p`` have shape (..., n)."""
+        """Hamiltonian ½ Σ p_i²/m_i + V(q) (...) of Eq. (5) at ``q`` and ``p``, (..., n) each."""
         p = np.asarray(p, dtype=float)
         kinetic: Array = 0.5 * np.sum(p * p / self.mass, axis=-1)
         return kinetic + self.potential(q)
@@ -210,8 +210,9 @@ def _refuse_negative(key: str, matrix: Array, words: str) -> None:
 class Effects:
     """Effects that act in a system: a hashable key, for which a stepper is compiled.
 
-    ``laws`` are sorted names; ``contact_masses`` count from 0; ``stops`` is the number of one-sided
-    contacts and ``noise_rank`` the number of independent noises that reach a mass.
+    ``masses`` is n; ``laws`` are sorted names; ``contact_masses`` count from 0; ``stops`` is the
+    number of one-sided contacts and ``noise_rank`` the number of independent noises that reach a
+    mass. ``correlated_noise``, ``coupled_damping``: f D fᵀ, or c, is not diagonal;
     ``state_damping``: the damping depends on the state; ``energy_damping``: it depends on H;
     ``mirror``: the system is invariant under q → −q.
     """
@@ -246,7 +247,7 @@ def effects_of(system: System) -> Effects:
 
 
 def looks_the_same_mirrored(system: System) -> bool:
-    """Whether the system is invariant under q → −q."""
+    """Return whether stops and damping terms are invariant under (q, p) → (−q, −p)."""
     stops = [(s.index, s.stiffness, s.clearance, s.law, s.power, s.side) for s in system.stops]
     right, left = (sorted(s[:-1] for s in stops if s[-1] == side) for side in ("right", "left"))
     return right == left and all(term.degree % 2 == 0 for term in system.damping_terms)
