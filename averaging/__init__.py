@@ -28,7 +28,7 @@ _HOME_OF = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import the method ``name``; raise ``AttributeError`` if there is none of that name."""
+    """Import and return the method's class ``name``; raise ``AttributeError`` for other names."""
     if name not in _HOME_OF:
         raise AttributeError(f"module 'averaging' has no attribute {name!r}")
     return getattr(import_module(_HOME_OF[name]), name)

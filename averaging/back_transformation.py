@@ -42,14 +42,13 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
         # u is smooth between the panels of the solution, T is not next to a contact energy.
         nodes = with_layers(solution.nodes, solution.process.nonsmooth, count=DEEP_LAYERS)
 
-        def own(energy: Array) -> Array:
-            """Relative error of T, which next to a contact energy may exceed the error on the
-            mesh."""
+        def error_of_states(energy: Array) -> Array:
+            """Return the relative error of T, which may be large next to a contact energy."""
             x, _ = solution.process.on_mesh(energy, float(nodes[-1]))
             return shell_averages(system, x.ravel()).error.reshape(x.shape)
 
         return density_of_energies(
-            observable, solution, (nodes,), own, tol=tol, added=source.closed
+            observable, solution, (nodes,), error_of_states, tol=tol, added=source.closed
         )
     pdf, pointwise, added = marginal_of(source, observable)
     T, end = source.temperature, source.end
@@ -90,10 +89,10 @@ def back_transformed(source: StateDensity, observable: Observable, *, tol: float
 def marginal_of(
     source: StateDensity, observable: Observable, *, flux_of: float | None = None
 ) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
-    """Return the integral of u(H) over all but the observed (q, p), and two functions of its error.
+    """Return the density of the observed (q, p), u(H) integrated over the others, and two errors.
 
-    The first two results map arrays of q and p, broadcast together, to the integral and to its
-    whole error; the third maps the integral and the same arrays to the error of tables and
+    The first two functions map arrays of q and p, broadcast together, to the integral and to its
+    whole absolute error; the third maps the integral and the same arrays to the error of tables and
     quadrature alone. If ``flux_of`` is the mass m of the observed displacement, the integral is
     ∫_0^∞ (p/m) f dp, the upcrossings per unit time.
     """
@@ -139,12 +138,13 @@ Observed = Callable[[Sequence[Array]], tuple[Array, Array]]
 def reduction(
     system: System, observable: Observable, hidden: list[int], unit: float
 ) -> tuple[float, float, tuple[Conditional, ...], Observed]:
-    """Return the order ν of the Weyl integral of u that the marginal density is, factor, laws, map.
+    """Return order ν, ln C, laws and map of p(observed) = C ∫Ψ_ν(E + V(hidden | observed)) dhidden.
 
-    2ν quadratic coordinates are integrated out exactly, which gives the factor (2π)^ν/(√det T_lin),
-    returned as its logarithm; det is of their quadratic form, T_lin the density of states without
-    contact at the energy ``unit``. The conditional laws are of the contact masses ``hidden``
-    (0-based); the last result is the map from the coordinates of ``observable`` to their energy.
+    Ψ_ν is the Weyl integral of u: 2ν quadratic coordinates are integrated out exactly, which gives
+    C = (2π)^ν/(√det T_lin), det of their quadratic form, T_lin the density of states without
+    contact at the energy ``unit``. The laws, whose potentials add up to V, are of the contact
+    masses ``hidden`` (0-based) in their order; the map gives the energy E of the coordinates of
+    ``observable``, see ``Observed``.
     """
     q, p = ([c.row for c in observable if c.kind == kind] for kind in "qp")
     laws = conditionals(system, [*q, *hidden])

@@ -18,7 +18,8 @@ from fpk.system.contact import Contact
 from fpk.system.system import System
 
 WIDTHS_PER_PANEL = 1.8
-"""Longest panel in √(T/a), T the temperature: ten Gauss points give ∫exp(−½x²) dx to 1e-15."""
+"""Longest panel over √(T/a), T the temperature, a the ``Conditional.precision``: ten Gauss points
+give ∫exp(−½x²) dx to 1e-15."""
 CONTACT_LEVELS = (1e-5, 1e-3, 0.1, 1.0)
 """Contact energies in units of T at which panels beyond a stop end; each further energy is twice
 the last: over [x, 2x] ten Gauss points integrate exp(−x) to 2e-12, the worst case being x = 16."""
@@ -57,7 +58,10 @@ class Conditional:
 
 
 def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
-    """Return the law of q of ``mass`` given the displacements of the masses ``given`` (0-based)."""
+    """Return the law of q of ``mass`` given the displacements of the masses ``given`` (0-based).
+
+    The masses in between have no contacts here: their springs act in series.
+    """
     flexibility = np.append(1.0 / system.stiffness, np.inf)  # no spring beyond the last mass
     below = max((k for k in given if k < mass), default=-1)
     above = min((k for k in given if k > mass), default=system.n)
@@ -69,7 +73,10 @@ def conditional(system: System, mass: int, given: Sequence[int]) -> Conditional:
 
 
 def conditionals(system: System, masses: Sequence[int]) -> tuple[Conditional, ...]:
-    """Return the law of each of ``masses`` given the masses before it; Π a_k is det K_red."""
+    """Return the law of each of ``masses`` (0-based) given the masses before it in the sequence.
+
+    Π a_k is the determinant of the stiffness matrix K_red reduced to ``masses``.
+    """
     return tuple(conditional(system, mass, masses[:k]) for k, mass in enumerate(masses))
 
 
@@ -88,8 +95,8 @@ def hidden_integral(
 
     E = ``energy`` (N,) and the displacements ``given`` (observed, N) are of the observed masses;
     each of ``laws`` is the law of a hidden mass given these and the hidden masses before it. f
-    falls by 1/e over ``temperature`` and is 0 beyond ``end``. ``points`` Gauss points are taken on
-    each panel. ``beyond``, a function of the last hidden displacement, multiplies f; None: 1.
+    falls by a factor e over ``temperature`` and is 0 beyond ``end``. Each panel has ``points``
+    Gauss points. ``beyond``, a function of the last hidden displacement, multiplies f; None: 1.
     """
     if not laws:
         return f(energy)
@@ -131,11 +138,12 @@ def gibbs_integral(
 ) -> tuple[Array, float]:
     """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) (N,) over the contact masses not observed.
 
-    The second result bounds the error of interpolation, without the error of the Gauss rule of
-    ``points`` on each panel. ``at`` (observed, N) are the displacements of the masses ``observed``
-    (0-based), T is ``temperature``. Up to two hidden masses between observed masses are integrated
-    at once; masses outside are integrated one after another, from the farthest inwards, as the
-    integral over all masses beyond a mass is a smooth function of its displacement, from 0 to 1.
+    The second result bounds the absolute error by interpolation, without the error of the Gauss
+    rule of ``points`` on each panel. ``at`` (observed, N) are the displacements of the masses
+    ``observed`` (0-based), T is ``temperature``. Up to two hidden masses between observed masses
+    are integrated at once; masses outside are integrated one after another, from the farthest
+    inwards, as the integral over all masses beyond a mass is a smooth function of its displacement,
+    from 0 to 1.
     """
 
     def over(laws: Sequence[Conditional], given: Array, beyond: Piecewise | None = None) -> Array:
@@ -196,7 +204,8 @@ def _first_touch(
     """Return panel ends (N, ends) about the q at which ``other`` has its mean at one of its stops.
 
     ``law`` is of q, ``other`` of the next hidden mass; ``given`` (masses, N) are the displacements
-    before q, ``height`` (N,) the largest energy of q, ``temperature`` the scale of energy.
+    before q, ``height`` (N,) the largest energy of q, ``temperature`` the scale of energy. There
+    are no ends, (N, 0), if ``other`` has no stops or does not depend on q.
     """
     share = other.weights[-1]
     if share == 0.0 or not other.stops:
@@ -238,5 +247,5 @@ def contact_levels(temperature: float, end: float) -> list[float]:
 
 
 def beyond_stop(stop: Contact, levels: Sequence[float]) -> Array:
-    """Return the displacements at which ``stop`` has the contact energies 0 and ``levels``."""
+    """Return the signed displacements (1 + levels,) with the contact energies 0 and ``levels``."""
     return stop.sign * (stop.clearance + np.array([0.0, *map(stop.overlap_at, levels)]))

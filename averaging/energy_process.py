@@ -192,7 +192,10 @@ def exponential_density(
 
 
 def _round_off(exponent: Array, energy: Array) -> Array:
-    """Return the round-off of Σ_e ``exponent``_e ``energy``^e, 2 ε Σ of absolute values."""
+    """Return 2 ε Σ_e |a_e H^e|, a bound of the round-off of Σ_e a_e H^e, shape of ``energy`` H.
+
+    The coefficients a are ``exponent`` (powers,).
+    """
     return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
 
 
@@ -202,7 +205,7 @@ def state_closed_form(
     """Return u = C exp(−∫_0^H h dH) of the full state, h(H) = Σ_e rate_e H^e, Eqs. (7), (22), (29).
 
     If ``rate`` has one entry, 1/C is the configuration integral; otherwise it is an integral over
-    the energy shells. ``residual``: see ``exponential_density``.
+    the energy shells. ∫u(H) dq dp is 1. ``residual``: see ``exponential_density``.
     """
     process = system.fact(energy_process)
     if rate.size > 1:
@@ -215,7 +218,7 @@ def state_closed_form(
     exponent = np.array([norm[0], -alpha])
 
     def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        """Return Ψ_ν = u/α^ν of order ν, or its error, at ``energy``, see ``StateDensity``."""
+        """Return Ψ_ν = u/α^ν, ν ``order``, at ``energy``, or its error; 0 for ``part`` "table"."""
         relative = error + _round_off(exponent, energy)
         factor = {"value": 1.0, "error": relative, "table": 0.0}[part]
         log_u = polynomial.polyval(energy, exponent) - order * np.log(alpha)
@@ -251,7 +254,7 @@ def state_closed_form(
 
 
 def log_gibbs_norm(system: System, alpha: float) -> tuple[float, float]:
-    """Return −ln ∫exp(−αH) dq dp over all displacements and momenta, and its error.
+    """Return −ln ∫exp(−αH) dq dp over all displacements and momenta, and its absolute error.
 
     ``alpha`` α is 1/energy. All factors are Gaussian integrals except the integral over the contact
     displacements, by ``gibbs_integral``.
@@ -286,5 +289,8 @@ def rate_by_energy(system: System) -> Array:
 
 
 def closed_form_density(system: System) -> Solution:
-    """Return p(H) = C T exp(−∫α dH): (29) for any masses, and for damping c(H)."""
+    """Return p(H) = C T exp(−∫_0^H α dH), the stationary (29) for any masses and for damping c(H).
+
+    ``rate_by_energy`` gives α, and raises ``NotApplicable`` for damping that depends on q or v.
+    """
     return state_closed_form(system, rate_by_energy(system)).solution

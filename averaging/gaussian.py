@@ -63,7 +63,7 @@ class Gaussian:
     residual: float
 
     def refusal(self, observable: Observable) -> str | None:
-        """Return why there is no joint density, one coordinate being a multiple of the other."""
+        """Return in words that one of a pair is a multiple of the other, None if it is not."""
         if len(observable) < 2:
             return None
         rows, _, L = self._standardised(observable)
@@ -73,14 +73,17 @@ class Gaussian:
         return f"{name}: one is a multiple of the other at all times: there is no joint density"
 
     def _standardised(self, observable: Observable) -> tuple[Array, Array, Array]:
-        """Return rows of F, standard deviations and L: x = deviation L y with cov y = 1."""
+        """Return rows of F (axes, k), standard deviations σ (axes,) and L (axes, axes).
+
+        The observed coordinates are x_i = σ_i (L y)_i, L lower triangular, cov y = 1.
+        """
         rows = self.factor[state_rows(observable, self.factor.shape[0] // 2)]
         scale = np.linalg.norm(rows, axis=1)
         L = qr((rows / scale[:, None]).T, mode="r")[0][: len(observable)].T
         return rows, scale, np.asarray(L)
 
     def density(self, observable: Observable, *, tol: float) -> Density:
-        """Return the density of H, or of one or two of (q, p), certified against ``tol``.
+        """Return the density of H, or of one or two of (q, p), certified to the L1 ``tol``.
 
         Raises ``NotApplicable`` with the reason that ``refusal`` gives.
         """
@@ -224,7 +227,10 @@ class Linear(Theory):
     colour = "#b86cfa"
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` if it is not Gaussian."""
+        """Return the plan for ``system``.
+
+        Raises ``NotApplicable`` if it has contacts, damping terms, an undamped mode or no noise.
+        """
         if system.contacts:
             raise NotApplicable("the system has contacts, so its density is not Gaussian")
         modes = system.fact(linear_covariance)
@@ -345,10 +351,10 @@ class Linear(Theory):
         return certify_rates(values, errors, tol=tol, residual=covariance.residual)
 
     def _curve(self, asked: Asked, question: str) -> tuple[float, float, Callable[..., Curve]]:
-        """Return the scale of errors, the standard deviation of q, and ``certify_curve``.
+        """Return the scale of errors, the standard deviation of q, and a function (values, errors).
 
-        Both numbers are positive; ``certify_curve`` still needs values and errors. Raises
-        ``NotApplicable`` if no noise reaches the mass.
+        The function returns the certified ``Curve``; the scale is the natural size of the values of
+        ``question``, a name in ``QUESTIONS``. Raises ``NotApplicable`` if the mass is at rest.
         """
         system, row = asked.system, asked.row
         (density,) = self.solve(system, [(Coordinate("q", row),)]).densities

@@ -65,7 +65,10 @@ class Integrable(Theory):
     colour = "#00a688"
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` if the theory does not hold."""
+        """Return the plan for ``system``.
+
+        Raises ``NotApplicable`` near a resonance, and for coupled modes that the solver refuses.
+        """
         modes = system.fact(modal_analysis)
         require_no_resonance(system, modes)
         if reason := coupling_refusal(modes, self.solver):
@@ -113,13 +116,14 @@ class Integrable(Theory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest relaxation rates of the modal energies."""
+        """Return the ``asked.count`` slowest relaxation rates of the modal energies, 1/time."""
         return self._in_time(Rates, "relaxation", asked)
 
     def _in_time(self, kind: type[Answer], question: str, asked: Asked) -> Answer:
-        """Return the answer to ``question``, an instance of ``kind``, by this solver.
+        """Return the answer of type ``kind`` to ``question``: transient, passage or relaxation.
 
-        Raises ``NotApplicable`` if the theory does not hold or the solver does not answer it.
+        The tolerance is ``MODAL_TOL`` if ``asked`` has none. Raises ``NotApplicable`` near a
+        resonance, for modes that the solver cannot couple, and unless it is closed-form or fem.
         """
         system, tol = asked.system, asked.tol or MODAL_TOL
         if question != "passage":
@@ -140,7 +144,7 @@ class Integrable(Theory):
         return replace(answer, settings={**answer.settings, **_contacts_left_out(system, modes)})
 
     def _refusal(self, observable: Observable, modes: ModalAnalysis) -> str | None:
-        """Return why the solver does not give ``observable``, None if it does."""
+        """Return in words why the solver does not give ``observable``, None if it does."""
         name, kinds = observable_name(observable), [c.kind for c in observable]
         total = any(c.kind == "H" and c.index is None for c in observable)
         if len(set(kinds) - {"q", "p"}) and (total or set(kinds) != {"H"}) and len(kinds) > 1:
@@ -151,9 +155,10 @@ class Integrable(Theory):
 
 
 def _contacts_left_out(system: System, modes: ModalAnalysis) -> dict[str, str]:
-    """Return the setting "contacts left out": their number and the smallest clearance in rms.
+    """Return the setting {"contacts left out": words}, empty if there are no stops.
 
-    The rms is of the displacement without contact. Empty if there are no stops.
+    The words state the number of stops, the smallest clearance over the rms displacement without
+    contact, and whether the rule of section 6.3 holds.
     """
     if not system.stops:
         return {}

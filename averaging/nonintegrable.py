@@ -36,7 +36,7 @@ from fpk.system.process import Process
 from fpk.system.system import System
 
 MODULATED_TOL = 1e-6
-"""Smallest default tolerance by finite elements under modulated noise, which takes a second; 1e-10
+"""Smallest default tolerance by finite elements under modulated noise: it takes a second, 1e-10
 takes ten, and may need more time steps than allowed if the noise begins or ends at 0."""
 
 
@@ -72,16 +72,20 @@ class NonIntegrable(EnergyTheory):
     colour = "#e07500"
 
     def exponential(self, system: System) -> bool:
-        """Return whether u is C exp(−αH); raise ``NotApplicable`` as ``energy_process`` does."""
+        """Return whether u is computed as C exp(−αH): in closed form, with constant damping.
+
+        Raises ``NotApplicable`` as ``energy_process`` does, in closed form as ``rate_by_energy``.
+        """
         system.fact(energy_process)
         return self.solver == "closed-form" and rate_by_energy(system).size == 1
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return the densities of the energy, or of one or two of (q, p), at the given times.
+        """Return the densities of the energy, or of one or two of (q, p), at ``asked.times``.
 
-        Without a tolerance the method's holds, by finite elements under modulated noise at least
-        ``MODULATED_TOL``. Raises ``InvalidInput`` for the time 0 if the start is a known energy.
+        Without a tolerance ``tol_for`` gives it, at least ``MODULATED_TOL`` by finite elements
+        under modulated noise. Raises ``InvalidInput`` for the time 0 if the start is a known energy
+        or, by finite elements, if q or p is observed; ``NotApplicable`` without a closed form.
         """
         system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
@@ -119,7 +123,11 @@ class NonIntegrable(EnergyTheory):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return the first passage of a limit by the energy; tolerance: see ``transient``."""
+        """Return the first passage of the limit ``asked.limit`` by the energy H.
+
+        Tolerance: see ``transient``. Raises ``NotApplicable`` for a limit of any other quantity,
+        ``InvalidInput`` for a start at or above the limit.
+        """
         system, process = asked.system, asked.system.fact(energy_process)
         if asked.limit.kind != "H":
             words = "this theory knows the total energy only; give a limit H=.."
@@ -138,7 +146,10 @@ class NonIntegrable(EnergyTheory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest relaxation rates of the energy."""
+        """Return the ``asked.count`` smallest positive eigenvalues of −L, 1/time, ascending.
+
+        L is the generator of the energy. Raises ``NotApplicable`` if the noise is modulated.
+        """
         system, tol = asked.system, asked.tol or self.tol_for(asked.system)
         require_held(system)
         process = system.fact(energy_process)
@@ -148,7 +159,7 @@ class NonIntegrable(EnergyTheory):
         return square_root(system, self.solver).rates(asked.count, tol=tol)
 
     def _settled(self, asked: Asked) -> Asked:
-        """Return the question with an ``EnergyStart`` and a tolerance, by default the method's."""
+        """Return ``asked`` with an ``EnergyStart`` and a tolerance, see ``transient``; a copy."""
         modulated = asked.system.modulation is not None and self.solver == "fem"
         default = max(self.tol_for(asked.system), MODULATED_TOL if modulated else 0.0)
         return with_energy_start(asked, asked.tol or default)
@@ -173,8 +184,9 @@ class NonIntegrable(EnergyTheory):
 def square_root(system: System, solver: str) -> SquareRoot:
     """Return the averaged energy without contact, dH = (n d − c H) dt + √(2 d H) dB.
 
-    Raises ``NotApplicable`` if the system has contacts or damping terms, or if ``solver`` is not
-    "closed-form".
+    n is the number of masses, c = Σ (c_ii/m_i)/n, d = Σ ((f D fᵀ)_ii/m_i)/n, with the
+    modulation of the noise. Raises ``NotApplicable`` if it has contacts or damping terms, or if
+    ``solver`` is not "closed-form".
     """
     if solver != "closed-form":
         raise NotApplicable(
@@ -189,14 +201,18 @@ def square_root(system: System, solver: str) -> SquareRoot:
 
 
 def _under(system: System, factor: float) -> Process:
-    """Return the process of the averaged energy under ``factor`` times the noise intensity."""
+    """Return the averaged energy process of ``system`` with D replaced by ``factor`` D.
+
+    σ² and the noise part of the drift are multiplied by ``factor``, the damping part stays. Raises
+    ``NotApplicable`` for ``factor`` 0.
+    """
     if factor == 1.0:  # computed once and stored in the system
         return system.fact(energy_process)
     return energy_process(replace(system, noise_intensity=factor * system.noise_intensity))
 
 
 def _initial_density(asked: Asked) -> Source:
-    """Return the initial density of the energy: a point, or a stationary density."""
+    """Return the initial density: a known energy, or stationary under ``start.noise`` times D."""
     if asked.start.noise is None:
         return Source(float(asked.start.energies[0]))
     return Source(process=_under(asked.system, asked.start.noise))

@@ -24,8 +24,9 @@ SMALLEST, LARGEST = 1e-12, 0.1
 density with a larger error says little."""
 
 DEFAULT, DEFAULT_BY_LINES = 1e-10, 1e-5
-"""L1 tolerance if none is given, and if the density of states is computed ``by_lines``: its largest
-error found was 1e-6 (three masses, stops 1e6 times as stiff as the springs)."""
+"""L1 tolerance if none is given: in general, and if the density of states is computed from the
+partition function (``by_lines``), whose largest error found was 1e-6 (three masses, stops 1e6 times
+as stiff as the springs)."""
 
 UNIFORM_TOL = 1e-4
 """L1 tolerance by scikit-fem if none is given: all shipped scenes meet it within seconds."""
@@ -62,18 +63,28 @@ class Theory(Method):
         return ROUTES[self.method, self.solver]
 
     def refined(self) -> Self:
-        """Return the method with a tolerance ten times smaller, down to ``SMALLEST``."""
+        """Return a copy with a tolerance ten times smaller, at least ``SMALLEST``.
+
+        ``tol`` None counts as ``UNIFORM_TOL`` by scikit-fem, otherwise as ``DEFAULT``.
+        """
         default = UNIFORM_TOL if self.route.named else DEFAULT
         return replace(self, tol=max(0.1 * tolerance(self.tol, default), SMALLEST))
 
     def tol_for(self, system: System) -> float:
-        """Return ``tol``, or a default that the density of states of ``system`` allows."""
+        """Return the L1 tolerance: ``tol``, or if it is None a default for ``system``.
+
+        This is ``UNIFORM_TOL`` by scikit-fem, else ``DEFAULT_BY_LINES`` if ``by_lines(system)``,
+        else ``DEFAULT``.
+        """
         default = DEFAULT_BY_LINES if by_lines(system) else DEFAULT
         return tolerance(self.tol, UNIFORM_TOL if self.route.named else default)
 
     @classmethod
     def register(cls, **options: Any) -> None:
-        """Register a ``Route`` for each solver; ``options`` are further fields of the ``Route``."""
+        """Add a ``Route`` for each solver to ``ROUTES``; ``options`` are further fields of each.
+
+        Raises ``ValueError`` if a route is registered already.
+        """
         for solver, words, equation in cls.solvers:
             make, named = partial(cls, solver=solver), solver == "scikit-fem"
             names = cls.method, solver, words, equation, cls.solves
@@ -82,14 +93,14 @@ class Theory(Method):
 
 @dataclass(frozen=True)
 class EnergyTheory(Theory):
-    """Theory whose density of the full state is u(H); other densities are marginals of u."""
+    """Theory of a density u(H(q, p)) of the full state; other densities are marginals of it."""
 
     def exponential(self, system: System) -> bool:
         """Return whether u is C exp(−αH); raise ``NotApplicable`` if the theory does not hold."""
         raise NotImplementedError
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u, solved for, and the settings of the result, as names and values."""
+        """Return the density u for ``system``, and the result's settings, which are for readers."""
         raise NotImplementedError
 
     def prepare(self, system: System) -> Plan:
@@ -105,10 +116,10 @@ class EnergyTheory(Theory):
 
     @answer
     def crossings(self, asked: Asked) -> Curve:
-        """Return the upcrossings per unit time of levels by q, Rice's formula.
+        """Return the upcrossings per unit time of the levels ``asked.at`` by q, Rice's formula.
 
-        ∫_0^∞ v f(q, p) dp, v = p/m, is an integral over p²/2m, and so a Weyl integral of u whose
-        order is greater by ½ than that for p(q).
+        ∫_0^∞ v f(q, p) dp, f the joint density of q and p and v = p/m, is an integral over p²/2m,
+        and so a Weyl integral of u whose order is greater by ½ than the order for p(q).
         """
         system, tol = asked.system, asked.tol or self.tol_for(asked.system)
         (source, _), mass = self.state(system), float(system.mass[asked.row])
@@ -122,11 +133,12 @@ class EnergyTheory(Theory):
 def energy_only_refusal(
     system: System, observable: Observable, *, exponential: bool = False
 ) -> str | None:
-    """Return why the density of ``observable`` does not follow from u(H), None if it does.
+    """Return in words why the density of ``observable`` does not follow from u(H), None if it does.
 
-    At most two contact masses are integrated out by quadrature at once. If u is ``exponential``,
-    these are the masses between the first and the last observed mass, since the others are
-    integrated out one after another along the chain; otherwise they are all masses not observed.
+    Modal energies do not, nor does a pair with H. At most two contact masses whose displacement is
+    not observed are integrated out by quadrature at once. If u is ``exponential``, only masses
+    between the first and the last observed displacement count, since the others are integrated out
+    one after another along the chain.
     """
     kinds = {c.kind for c in observable}
     if "H" in kinds and (len(observable) > 1 or observable[0].index is not None):

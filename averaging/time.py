@@ -30,12 +30,13 @@ from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.transition import Transition
 
 MODAL_TOL = 1e-8
-"""Tolerance of answers in time of modal energies if none is given."""
+"""Tolerance ``Asked.tol`` of answers in time by modal energies if none is given."""
 ERROR_POINTS = 4
-"""Gauss points on each panel of the integral of the error of Ψ, which is an estimate."""
+"""Gauss points per panel of the integral of the error of Ψ over a hidden displacement: few, as the
+error is an estimate."""
 STOP_LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
-"""Ends of panels beyond a stop over the distance to the end of the range: the integrand contains
-overlap^2.5 next to a Hertz stop."""
+"""Ends of panels beyond a stop: overlaps over the overlap at the end of the range, geometric since
+the integrand contains overlap^2.5 next to a Hertz stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ class EnergyStart:
 
 
 def with_energy_start(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
-    """Return the question with the tolerance ``tol`` and an ``EnergyStart`` as its start.
+    """Return a copy of ``asked`` with the tolerance ``tol`` and an ``EnergyStart`` as start.
 
     The start holds modal energies if ``modes`` are given, otherwise the total energy. Raises
     ``NotApplicable`` for modal energies without ``modes``, and for a total energy of several modes.
@@ -101,7 +102,7 @@ def modes_of_observable(observable: Observable) -> list[int]:
 
 
 def modal_limits(limit: Limit, start: EnergyStart) -> dict[int, float]:
-    """Return the limit of each limited mode (0-based), empty for a limit of the sum H.
+    """Return the largest energy of each limited mode by its 0-based number, empty for the sum H.
 
     Raises ``NotApplicable`` for a displacement, ``InvalidInput`` for a start at or above the limit.
     """
@@ -133,11 +134,11 @@ class WeylInTime:
         return with_layers(halves, e.process.nonsmooth)
 
     def __call__(self, energy: Array) -> Array:
-        """Return Ψ at ``energy`` of any shape, (*shape, times)."""
+        """Return Ψ at ``energy`` of any shape, (*shape, times); 0 beyond the last node."""
         return self.tables[-1](energy)
 
     def error(self, energy: Array) -> Array:
-        """Return the error of Ψ at ``energy``, (*shape, times).
+        """Return the absolute error of Ψ at ``energy`` of any shape, (*shape, times).
 
         Beyond the last element, where Ψ is given as 0, it is the error in the last element.
         """

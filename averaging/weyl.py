@@ -39,9 +39,9 @@ class StateDensity:
     holds for all marginal densities, since integrating out increases no L1 distance, but not for
     p(H). ``weyl(ν)(E, part)`` is Ψ_ν(E) = ∫_0^∞ u(E + x) x^(ν−1)/Γ(ν) dx: integrating u over 2ν
     quadratic coordinates gives (2π)^ν/√det times this. ``part`` is "value" for Ψ, "error" for the
-    effect of the error of u on Ψ, "table" for the error of interpolating Ψ. u falls by about 1/e
-    over ``temperature``. ``closed``: u is a closed form, so that the error of T is not in u;
-    ``gibbs``: u is C exp(−H/``temperature``).
+    effect of the error of u on Ψ, "table" for the error of interpolating Ψ. u falls by a factor of
+    about e over ``temperature``. ``closed``: u is a closed form, without the error of T; ``gibbs``:
+    u is C exp(−H/``temperature``).
     """
 
     system: System
@@ -63,7 +63,7 @@ class StateDensity:
 def density_by_tables(system: System, solution: Solution, *, closed: bool = False) -> StateDensity:
     """Return the state density u = p/T of ``solution``, with tables of its Weyl integrals.
 
-    u and its error are smooth between the panels of ``solution``; ``closed`` as ``StateDensity``.
+    u and its error are smooth between the panels of ``solution``; ``closed``: see ``StateDensity``.
     """
     process, end = solution.process, float(solution.nodes[-1])
     temperature = process.energy_scale / process.degrees_of_freedom
@@ -99,7 +99,7 @@ class WeylIntegrals:
 
     @cached_property
     def nodes(self) -> tuple[Array, Array]:
-        """Ends of the elements of the coarser table, and of the finer table."""
+        """Ends of elements of the coarser and finer table; the same without ``state_damping``."""
         meshes = [self.solution.panels]
         if not self.solution.process.state_damping:
             return meshes[0], meshes[0]
@@ -111,17 +111,17 @@ class WeylIntegrals:
 
     @cached_property
     def value(self) -> Piecewise:
-        """ln Ψ of u."""
+        """Finer table of ln Ψ; −∞ beyond the last node."""
         return weyl_table(self.order, self.nodes[1], self.solution.phase_space_density)
 
     @cached_property
     def error(self) -> Piecewise:
-        """ln Ψ of the error of u."""
+        """ln of the Weyl integral of order ν of the estimated error of u, on the finer mesh."""
         return weyl_table(self.order, self.nodes[1], self.solution.phase_space_error)
 
     @cached_property
     def distance(self) -> Piecewise:
-        """Relative error of the table of Ψ, a constant in each element."""
+        """Estimated relative error of Ψ by table and continuation, a constant in each element."""
         u, (coarse, fine) = self.solution.phase_space_density, self.nodes
         other = weyl_table(self.order, coarse, u, points=ENERGY_RULES[0])
         x = fine[:-1, None] + np.diff(fine)[:, None] * COMPARISON_POINTS
@@ -142,7 +142,10 @@ class WeylIntegrals:
         return float(self.nodes[1][-1]) * (1.0 - 1e-9)
 
     def __call__(self, energy: Array, part: Part = "value") -> Array:
-        """Return the ``part`` of Ψ at ``energy`` of any shape, see ``StateDensity``."""
+        """Return the ``part`` of Ψ, see ``StateDensity``, at ``energy`` of any shape.
+
+        Beyond the last node the value is 0, with Ψ(``last``) as "error".
+        """
         if part == "value":
             return np.exp(self.value(energy))
         within, inside = energy < self.last, np.minimum(energy, self.last)
@@ -157,7 +160,7 @@ class WeylIntegrals:
 def weyl_table(
     order: float, nodes: Array, u: Function, *, points: int = ENERGY_RULES[1]
 ) -> Piecewise:
-    """Return ln Ψ_ν(E), Ψ_ν = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
+    """Return ln Ψ_ν(E), Ψ_ν = ∫_E^∞ u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
     Ψ_0 is u, a function that is smooth between ``nodes``. The table has ``points`` coefficients on
     each element and is −∞ beyond the last node; there u is continued by ``weyl_tail``, without
@@ -175,10 +178,11 @@ def weyl_table(
 
 
 def weyl_integral(order: float, nodes: Array, u: Function, energy: Array, *, points: int) -> Array:
-    """Return Ψ_ν(E) = ∫_E u(H) (H − E)^(ν−1)/Γ(ν) dH up to the last of ``nodes``, (n, *more).
+    """Return ∫_E^X u(H) (H − E)^(ν−1)/Γ(ν) dH, X the last of ``nodes``: Ψ_ν(E) without its tail.
 
-    ν is ``order`` = ½, 1, ..., E is ``energy`` (n,); u maps energies of any shape to arrays
-    (*shape, *more). ``points`` Gauss points are taken between nodes, on the panel of E above E.
+    ν is ``order`` = ½, 1, ..., E is ``energy`` (energies,), u maps energies of any shape to
+    arrays (*shape, *more); the result is (energies, *more), 0 for E above X. Each panel between
+    nodes, or its part above E, has ``points`` Gauss points.
     """
     left, right = nodes[:-1, None], nodes[1:, None]
     x, w = panel_rule(nodes, points)

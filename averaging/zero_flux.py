@@ -59,16 +59,16 @@ class ZeroFluxDensity:
         return np.asarray(np.exp(self.log_density(energy)))
 
     def pointwise_error(self, energy: Array) -> Array:
-        """Return an estimate of the error of p at ``energy``, without the error of T."""
+        """Return an estimate of |p − p_exact| at ``energy``, the error of T excluded."""
         return self.relative_error(self._on_mesh(energy)[0]) * self.density(energy)
 
     def phase_space_density(self, energy: Array) -> Array:
-        """Return u = p/T at ``energy`` of any shape, T in the unit of the process."""
+        """Return u = p/T at ``energy`` of any shape, T as in the process; 0 above the last node."""
         safe = self._on_mesh(energy)[0]
         return np.where(np.asarray(energy) <= self.nodes[-1], np.exp(self.log_u(safe)), 0.0)
 
     def phase_space_error(self, energy: Array) -> Array:
-        """Return an estimate of the error of u at ``energy``."""
+        """Return an estimate of |u − u_exact| at ``energy`` of any shape, 0 above the last node."""
         return self.relative_error(self._on_mesh(energy)[0]) * self.phase_space_density(energy)
 
     def _on_mesh(self, energy: Array) -> tuple[Array, Flags]:
@@ -107,7 +107,7 @@ def density_of_energies(
     tol: float,
     added: bool,
 ) -> Density:
-    """Return the certified density of one or two energies of ``solution``, judged against ``tol``.
+    """Return the density of one or two energies of ``solution``, certified to the L1 ``tol``.
 
     ``panels`` are the panel nodes of each energy. ``relative_error`` maps energies to the relative
     error of p from the density of states or the modes, which the solver does not include; if
@@ -163,15 +163,15 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
 
     def rate_and_error(energy: Array) -> Array:
-        """Return 2s/σ² − n/H at ``energy``, and a bound of its error from errors of s and σ²."""
+        """Return 2s/σ² − n/H at ``energy`` and its error by errors of s and σ², (points, 2)."""
         c = process.coefficients(energy)
         rate = 2.0 * c.drift / c.diffusion - n / energy
         return np.stack([rate, log_density_slope_error(c)], axis=-1)
 
     def errors(lengths: Array, coefficients: Array) -> tuple[Array, Array]:
-        """Return errors (panels,) of the integral over each panel.
+        """Return two absolute errors (panels,) of the integral of 2s/σ² − n/H over each panel.
 
-        The first is of truncating the series ``coefficients``, the second of s and σ².
+        The first is due to truncating the series ``coefficients``, the second to s and σ².
         """
         truncated = lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1)
         return truncated, lengths * coefficients[:, 0, 1]

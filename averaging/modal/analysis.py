@@ -23,13 +23,13 @@ from fpk.system.process import Coefficients, Process
 from fpk.system.system import System
 
 BALANCE_STEPS = 4000
-"""Limit of the iterations to energies at which damping and noise balance; usual are some hundred,
-as the convergence is linear."""
+"""Largest number of iterations to energies at which damping and noise balance; usual are some
+hundred, as the convergence is linear."""
 
 
 @dataclass(frozen=True, eq=False)
 class AveragedDamping:
-    """Γ_mk(H) with ⟨F_m Q̇_k⟩ = Γ_mk(H) H_k, F the modal damping forces; γ_m = Γ_mm is a rate.
+    """Γ_mk(H) with ⟨F_m Q̇_k⟩ = Γ_mk(H) H_k, F_m = Σ_k c*_mk Q̇_k; γ_m = Γ_mm > 0 takes energy out.
 
     Γ_mk is a polynomial in the modal energies. Row r of ``factors`` (rows, degree) stands for the
     monomial Π_j H_factors[r, j], energies counted from 1 and H_0 = 1; row 0 is the constant.
@@ -42,9 +42,9 @@ class AveragedDamping:
     sizes: Array
 
     def rates(self, group: Sequence[int]) -> Callable[[Array], Array]:
-        """Return the function from energies (points, k) of the k modes of ``group`` to their γ_m.
+        """Return the function from energies (points, k) of the k modes ``group`` to their γ_m.
 
-        ``group`` are 0-based modes whose γ_m depend on no other mode's energy.
+        Its values are (points, k). The γ_m of the modes (0-based) depend on no other energy.
         """
         index = np.array(group)
         rows = np.isin(self.factors, [0, *(index + 1)]).all(axis=1)
@@ -67,7 +67,7 @@ class AveragedDamping:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of modes, ascending, in which the γ_m of a mode depend on other energies."""
+        """All modes (0-based) in groups: γ_m depends on no energy outside the group of m."""
         n = self.values.shape[1]
         joined = np.eye(n, n + 1, 1)
         row, mode = np.nonzero(np.einsum("rmm->rm", self.values))
@@ -237,7 +237,7 @@ def damping_averages(system: System, shapes: Array, omega: Array) -> AveragedDam
 
 
 def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
-    """Return the coefficients of ⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k of a damping term.
+    """Return the coefficients of ⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k of ``term``, its factor 1.
 
     The array has the axes k, then one axis of modes for each factor H_m; ``shapes`` T (n, n) and
     ``omega`` (n,) are the modes. With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m,
@@ -262,7 +262,7 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
 def energy_balance(system: System, damping: AveragedDamping, noise: Array) -> Array:
     """Return means (n,) of independent exponential energies with E γ_m H_m = d_m, ``noise`` d (n,).
 
-    They are scales for meshes and bandwidths; of several solutions one of high energies is found.
+    They are scales for meshes and bandwidths; of several solutions high energies are returned.
     Raises ``NotApplicable`` if there is none, the energy of a mode growing for ever.
     """
     try:

@@ -29,10 +29,12 @@ CONVOLUTION_POINTS = 24
 """Gauss points per panel of integrals over an energy: they integrate e^(−x), 0 < x < 3, to
 1e-30."""
 BAND_GROWTH = 2.0**0.5
-"""Factor from one highest wave number s to the next. The norm of φ beyond s is estimated by 1/(√2 −
+"""Factor by which the highest wave number s of a density's Fourier series is raised. The norm of
+the characteristic function φ beyond s is estimated by 1/(√2 −
 1) times its norm between s/√2 and s, which holds if |φ| falls as s^-2."""
 MAX_WAVES = 40_000
-"""Largest number of waves; the estimated contribution of further waves is part of the error."""
+"""Largest number of waves of a Fourier series; the estimated contribution of further waves is part
+of the error."""
 PANEL_PHASE = {1: 30.0, 2: 16.0}
 """Largest phase of a wave over a panel, in radians, by the number of coordinates: 20 and 12 Gauss
 points integrate it to 1e-9."""
@@ -41,7 +43,7 @@ HALF_PANELS = (4.0, 400.0)
 
 
 def coupling_refusal(modes: ModalAnalysis, solver: str) -> str | None:
-    """Return why ``solver`` cannot give the density of the coupled energies, None if it can."""
+    """Return in words why ``solver`` cannot solve for the coupled energies, None if it can."""
     largest = max(modes.averaged.groups, key=len)
     names = " and ".join(f"H{m + 1}" for m in largest)
     if len(largest) > 2:
@@ -230,8 +232,9 @@ def gaussian_modes(modes: ModalAnalysis) -> Gaussian:
 def fourier_sum(phases: Array, coefficients: Array, x: Array, y: Array | float = 0.0) -> Array:
     """Return Re Σ_km coefficients_km exp(i (k a_0 + m a_1)), a = ``phases`` (x, y); 0 if |a| > π.
 
-    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, k = 0 .. K, m = −M .. M)
-    include the terms of −k. ``x`` and ``y`` broadcast together; the result is (functions, ...).
+    ``phases`` (2, 2) is lower triangular. ``coefficients`` (functions, K + 1, 2M + 1) of k = 0 .. K
+    and m = −M .. M are doubled for k > 0, in the place of −k. ``x`` and ``y`` broadcast together;
+    the result is (functions, ...).
     """
     K, M = np.array(coefficients.shape[1:]) // [1, 2] - [1, 0]
     (u, i), (v, j) = (np.unique(z, return_inverse=True) for z in (x, y))
@@ -327,7 +330,7 @@ def state_density(
 def combine_measured(parts: Sequence[Density], added: float = 0.0) -> Measured:
     """Return errors and checks of a density that depends on all of the independent ``parts``.
 
-    ``added`` is its own L1 error.
+    ``added`` is the L1 error of computing it from them, which adds to their L1 errors.
     """
     checks = [part.certificate for part in parts]
     return Measured(
@@ -342,7 +345,7 @@ def combine_measured(parts: Sequence[Density], added: float = 0.0) -> Measured:
 
 
 def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return the product of ``factors``, pairs of a value and its error, and its error."""
+    """Return the product of ``factors``, each a (value, absolute error), and its absolute error."""
     value, error = np.ones(()), np.zeros(())
     for x, e in factors:
         value, error = value * x, error * (np.abs(x) + e) + np.abs(value) * e
@@ -350,9 +353,10 @@ def product_of(factors: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def _bessel_transform(group: Density, size: Array) -> Array:
-    """Return E Π_m J0(√H_m ``size``_m) and its error, (2, waves), for ``size`` (waves, modes).
+    """Return E Π_m J0(√H_m ``size``_m) over the density ``group``, for ``size`` (waves, modes).
 
-    The Gauss rules on the panels of ``group`` have more points the larger the phase is.
+    The result is (2, waves): row 1 is the same integral of the error of the density. The larger the
+    phase, the more points have the Gauss rules on the panels.
     """
     rules = []
     for nodes, z in zip(group.panels, size.T, strict=True):

@@ -26,8 +26,8 @@ def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` if a resonance forbids to average over the phases of the modes.
 
     With constant damping the criterion is the neglected correlation of two modes. With damping
-    terms a power of amplitude A into mode m with the phase Σ l_i φ_i makes H_m oscillate by 2
-    A/detuning.
+    terms it is the oscillation of H_m by 2 A/detuning, relative to θ_m, that a power of amplitude A
+    and phase Σ l_i φ_i into mode m causes. Both may be up to ``MAX_NEGLECTED``.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)
@@ -79,7 +79,7 @@ def correlations(modes: ModalAnalysis) -> Array:
 
 
 def nearest_resonance(system: System, modes: ModalAnalysis) -> str:
-    """Return a text: the integers l of smallest detuning |Σ l_i ω_i|, and the bandwidth."""
+    """Return a text: the l of smallest detuning |Σ l_i ω_i|, and the bandwidth ½ Σ |l_i| c*_ii."""
     order = resonance_order(system)
     integers, detuning = resonances(modes.natural_frequency, order, range(1, order + 1))[0]
     return (
@@ -93,7 +93,7 @@ def _integers(integers: Integers) -> str:
 
 
 def resonance_order(system: System) -> int:
-    """Return the largest order Σ|l_i|, even, of frequencies Σ l_i ω_i in the averaged terms."""
+    """Return the largest order Σ|l_i|, even and at least ``MIN_ORDER``, of Σ l_i ω_i to examine."""
     return max([MIN_ORDER, *(2 * ((term.factors + 1) // 2) for term in system.damping_terms)])
 
 
@@ -103,8 +103,9 @@ def resonances(
     """Return integers l and detunings |Σ l_i ω_i|, smallest detuning first, for ``omega`` ω (n,).
 
     These are all detunings up to ``limit`` with Σ|l_i| in ``sizes``, at most the even ``order``,
-    and the smallest detuning if it is above. Every l is the difference of two vectors of half the
-    order; sorting their frequencies makes the search cheap for many modes.
+    and the smallest detuning if it is above, at most ``MAX_CANDIDATES``; l and −l count once. Every
+    l is the difference of two vectors of half the order; sorting their frequencies makes the search
+    cheap for many modes.
     """
     unit = np.eye(omega.size, dtype=np.int64)
     units = np.vstack([unit, -unit, 0 * unit[:1]])
@@ -128,7 +129,7 @@ def resonances(
 
 
 def flow_amplitudes(system: System, modes: ModalAnalysis, integers: Integers) -> Array:
-    """Return the amplitudes (n,) of the powers F_m Q̇_m that oscillate as e^{i Σ l_k φ_k}.
+    """Return the amplitudes (n,) of the damping powers F_m Q̇_m that oscillate as e^{i Σ l_k φ_k}.
 
     ``integers`` are the l_k (n,). For Gaussian modes ``Q_k = √(2θ_k)/ω_k Re z_k``, ``Q̇_k =
     −√(2θ_k) Im z_k``, E|z_k|² = 1, the amplitude is |E[F_m Q̇_m Π z̄_k^l_k]|/√(Π |l_k|!), with z

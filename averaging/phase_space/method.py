@@ -117,7 +117,7 @@ class PhaseSpace(Theory):
         )
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` if it is not possible."""
+        """Return the plan for ``system``; raise ``NotApplicable`` as ``_frame`` does."""
         frame = self._frame(system)
 
         def refusal(observable: Observable) -> str | None:
@@ -161,17 +161,17 @@ class PhaseSpace(Theory):
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
-        """Return the power spectral density of q from the resolvent of the FPK operator."""
+        """Return the two-sided power spectral density of q, by the resolvent of the operator."""
         return self._curve(asked, "spectrum", SPECTRUM_TOL)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
-        """Return the autocovariance of q from the exponential of the FPK operator."""
+        """Return the autocovariance of q at lags, from the exponential of the FPK operator."""
         return self._curve(asked, "correlation", CORRELATION_TOL, numbers=float)
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest eigenvalues of −L, L the FPK operator in the expansion."""
+        """Return the ``asked.count`` slowest eigenvalues of −L, L the expanded FPK operator."""
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
@@ -201,9 +201,9 @@ class PhaseSpace(Theory):
         apart: dynamics.Apart = dynamics.largest,
         numbers: type = complex,
     ) -> Curve:
-        """Return the curve ``name`` of ``dynamics``, judged against a relative tolerance.
+        """Return the curve of the function ``name`` of ``dynamics``, to a relative tolerance.
 
-        The tolerance is given in the question, or ``default``; ``apart`` measures the difference of
+        This is ``asked.tol``, or ``default`` if that is None; ``apart`` measures the difference of
         two answers, ``numbers`` is the type of the numbers of the elimination.
         """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
@@ -240,7 +240,11 @@ class PhaseSpace(Theory):
         return Options(self.memory, work, self.threads, self.reference, progress)
 
     def _frame(self, system: System) -> Frame:
-        """Return the frame; raise ``NotApplicable`` if the expansion is not for ``system``."""
+        """Return the frame of ``system``.
+
+        Raises ``NotApplicable`` for more than ``MOST_EXPANSION_MASSES`` masses, stops on several of
+        them, and damping terms whose equations exceed memory or work.
+        """
         if system.n > MOST_EXPANSION_MASSES:
             most = f"the expansion is for {2 * MOST_EXPANSION_MASSES} at the most"
             raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")

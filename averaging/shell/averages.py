@@ -198,9 +198,10 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
 
 
 def _angles_of_cuts(shell: EnergyShell, energy: Array) -> Array:
-    """Return the angles (energies, cuts) at which a stop begins or ceases to meet the shell.
+    """Return the angles (energies, cuts) of y, c = 2, at which a stop begins or ceases to be met.
 
-    An entry is 0 if the stop is not met at this ``energy``, and for the fixed angle 0.
+    They are radians, at the shells of ``energy`` (energies,); 0 for a stop that no ray meets. The
+    first are the same for all energies: 0, π/2 and the angles of ``EnergyShell.corners``.
     """
     fixed = [0.0, 0.5 * pi, *np.arctan2(shell.corners[:, 1], shell.corners[:, 0])]
     touch, rows = shell.first_touch, shell.stops.reach

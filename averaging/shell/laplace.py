@@ -42,21 +42,21 @@ MISSING = 1e-13
 """Relative size of the nearest alias of the trapezoidal rule, T(H + 2π/step) e^(−2πβ₀/step) or the
 same of the power times T, and of the integrand at the end of a line."""
 LINE_ENDS = (1.6, 16.0)
-"""A line ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R at its beginning, at most at 16 β₀.
-Measured with Hertz stops and n = 4 to 30 masses, the rest of the integral is about (1.6/end)^m,
-with m = 2n, and m = 2n + 3 if the systems with one contact mass are subtracted."""
+"""A line Re β = β₀ ends at Im β = 1.6 (``MISSING`` R)^(−1/m) β₀, R = Z/Z_lin at its beginning, at
+most at 16 β₀. Measured with Hertz stops and n = 4 to 30 masses, the rest of the integral is about
+(1.6/end)^m, with m = 2n, and m = 2n + 3 if the systems with one contact mass are subtracted."""
 LONG_LINE = 10.0
 """End of a line over β₀ beyond which the systems with one contact mass are subtracted."""
 CANCELLATION = (0.4, 3.5)
-"""ln of the largest term over the sum, at the lowest and the highest energy of a line. Without any
-cancellation the end of the line would omit most."""
+"""ln of the largest term over the sum, at the lowest and highest energy that a line of β serves.
+Without any cancellation the end of the line would omit most."""
 SHORTER = (0.6, 1.2, 1.8)
-"""ln of the factors by which three shorter lines omit more; their answers give the error of the
-end."""
+"""ln of the factors by which three shorter lines of β omit more of the integral; the largest
+difference of their answers to the answer is the error of ending the line."""
 LINE_SAFETY = 1.5
-"""Factor on the sum of this error and the error of the rule: in 25 random chains with two contact
-masses, 3 to 20 masses and stops of 1e-2 to 1e5 of the springs' stiffness the true error, against
-integrals along rays, was at most 0.8 of the sum."""
+"""Factor on the sum of the errors of ending a line of β and of the rule over displacements: in
+25 random chains with two contact masses, 3 to 20 masses and stops of 1e-2 to 1e5 of the springs'
+stiffness the true error, against integrals along rays, was at most 0.8 of the sum."""
 CHECKED = 4
 """Equal parts of a line, at whose ends the rule over displacements is compared with a lower
 rule."""
@@ -275,8 +275,9 @@ class PartitionLines:
     def _grids(self, real: float, end: float) -> list[list[tuple[Array, Array]]]:
         """Return displacements and weights of each mass by both ``CHAIN_RULES``.
 
-        They serve β from ``real`` to ``real`` (1 + i ``end``). Next to a stop they are Gauss points
-        in the root of the overlap, in which the contact energy of a Hertz law is a polynomial.
+        The outer list is over the rules, the inner over the contact masses. They serve β from
+        ``real`` to ``real`` (1 + i ``end``). Next to a stop they are Gauss points in the root of
+        the overlap, in which the contact energy of a Hertz law is a polynomial.
         """
         turns = CHAIN_RULES[1] * RADIANS / end
         longest = min(WIDTHS_PER_PANEL, turns / (2.0 * RISE) ** 0.5)
@@ -309,7 +310,10 @@ class PartitionLines:
 
 
 def by_lines(system: System) -> bool:
-    """Return whether shell averages are computed from the partition function, not along rays."""
+    """Return whether shell averages are computed from the partition function, not along rays.
+
+    True for three or more contact masses, and for two in a chain beyond ``MOST_RAY_MASSES``.
+    """
     count = len(system.contact_masses)
     degree = max((term.degree for term in system.damping_terms), default=0)
     return count > 2 or (count == 2 and system.n + 0.25 * degree > MOST_RAY_MASSES)

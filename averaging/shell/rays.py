@@ -59,8 +59,8 @@ class EnergyShell:
 
     @cached_property
     def L(self) -> Array:
-        """L (c, c), q_c = L y: y are the extensions of the springs in series between contact masses
-        times √stiffness. No two terms cancel, however different the springs are."""
+        """L (c, c), lower triangular, of q_c = L y: y are the extensions, times √stiffness, of the
+        springs in series between contact masses. No two terms cancel, whatever the springs are."""
         laws = conditionals(self.system, self.system.contact_masses)
         return np.asarray(np.tri(len(laws)) * [law.precision**-0.5 for law in laws])
 
@@ -90,7 +90,7 @@ class EnergyShell:
 
     @cached_property
     def sides(self) -> Stops:
-        """The stops of one contact mass, one row a side; one row if both sides are equal."""
+        """The stops of one contact mass: row 0 to the right, row 1 to the left unless equal."""
         alike = self.system.fact(looks_the_same_mirrored)
         return self.nearest(np.array([[1.0]] if alike else [[1.0], [-1.0]]))
 

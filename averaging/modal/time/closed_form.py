@@ -43,9 +43,10 @@ DECAY_PANELS, DECAY_POINTS = 80, (14, 18)
 """Panels of ∫ P(T > t) dt, equal in ln t, and Gauss points on each, of the comparison and of the
 answer."""
 EARLY, SETTLED = 1e-13, 60.0
-"""Beginning and end of these panels over 1/rate, the mean time of rare failures."""
+"""Ends in time of the ``DECAY_PANELS``, in units of 1/rate, the mean time of rare failures."""
 MOST_WAVES = {1: 400_000, 2: 1_000_000}
-"""Largest number of waves, by the number of coordinates; they take seconds for each time."""
+"""Largest number of waves in the Fourier series of a density, by its number of coordinates (q, p);
+they take seconds for each time."""
 DensityOf = Callable[[Array], tuple[Array, Array]]
 Passing = tuple[SquareRoot, float, float]
 """The process of an energy, its limit, and its initial value."""
@@ -55,7 +56,11 @@ its contribution to the coordinates in the stationary state of temperature 1."""
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities ``asked`` for, Eq. (35); the start is an ``EnergyStart``."""
+    """Return the densities of modal energies, of their sum H or of (q, p), Eq. (35).
+
+    The start of ``asked`` is an ``EnergyStart``. Raises ``NotApplicable`` for damping terms, and
+    for H of more than two modes of unequal damping or noise.
+    """
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
     every = [(_mode(modes, m, modulation), H) for m, H in enumerate(start.energies.tolist())]
@@ -91,7 +96,11 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
 
 
 def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
-    """Return the first passage of one modal energy, of the first of several, or of their sum."""
+    """Return the first passage of one modal energy, of the first of several, or of their sum.
+
+    Raises ``NotApplicable`` for damping terms, for a stationary start, and for the sum of modes of
+    unequal damping or noise.
+    """
     start, times, tol = asked.start, require_times(asked.times), asked.tol
     limits, energies = modal_limits(asked.limit, start), start.known()
     parts = [(_mode(modes, m), a, float(energies[m])) for m, a in limits.items()]
@@ -112,7 +121,7 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` slowest rates above 0, sums of multiples of c*_ii, judged by ``tol``."""
+    """Return the ``count`` smallest sums Σ k_i c*_ii > 0, k_i = 0, 1, …, to a relative ``tol``."""
     rates = np.zeros(1)
     for m in range(modes.n):
         multiples = _mode(modes, m).c * np.arange(count + 1.0)
@@ -121,7 +130,7 @@ def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
 
 
 def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) -> SquareRoot:
-    """Return the energy of mode ``m`` (0-based); raise ``NotApplicable`` for other damping."""
+    """Return the process of H_m (0-based ``m``); raise ``NotApplicable`` for damping terms."""
     if not modes.constant:
         raise NotApplicable("damping that depends on the state has no closed form in time; use fem")
     c, d = float(modes.modal_damping[m, m]), float(modes.noise[m])
@@ -142,7 +151,7 @@ def _equal_modes(modes: ModalAnalysis, modulation: Modulation | None = None) -> 
 
 
 def _convolution(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Array]:
-    """Return ∫p_1(x) p_2(H − x) dx and its error at ``energy`` H (points,), by graded panels."""
+    """Return ∫_0^H p_1(x) p_2(H − x) dx and its error at ``energy`` H (points,), 0 for H < 0."""
     H = np.maximum(energy, 0.0)[:, None]
     nodes = np.sin(np.linspace(0.0, 0.5 * np.pi, SUM_PANELS + 1)) ** 2
     totals = []
@@ -155,9 +164,9 @@ def _convolution(parts: Sequence[DensityOf], energy: Array) -> tuple[Array, Arra
 
 
 def _survival(parts: Sequence[Passing], times: Array, tol: float) -> tuple[Array, Array]:
-    """Return P(T > t) at ``times``, T the first of independent passages, and its error.
+    """Return P(T > t) at ``times``, T the first of independent passages, and its absolute error.
 
-    ``tol`` is the tolerance of each passage.
+    ``tol`` is the tolerance of P(T <= t) of each passage.
     """
     failures = (mode.failure(a, H, times, tol=tol) for mode, a, H in parts)
     return product_of((1.0 - p, e) for p, e in failures)
@@ -210,12 +219,12 @@ def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
 def _coordinate_density(
     parts: Sequence[Orbit], noise: float | None, t: float, at: tuple[Array, ...]
 ) -> tuple[Array, float, float]:
-    """Return p at the points ``at`` at time ``t``, its error, and the height of a Gaussian.
+    """Return p (points,) at ``at`` and time ``t``, a bound of all its errors, and a height.
 
-    The Gaussian has the same covariance. p is a Fourier series on a box of coordinates whose
-    Gaussian part is standard normal; periodic copies, and waves beyond ``GAUSSIAN_REACH``, are
-    below round-off. ``noise`` is the factor on the noise of a stationary start, None: a known
-    start.
+    The height is the maximum of a Gaussian density of equal covariance. p is a Fourier series on a
+    box of coordinates whose Gaussian part is standard normal; periodic copies, and waves beyond
+    ``GAUSSIAN_REACH``, are below round-off. ``noise`` is the factor on the noise of a stationary
+    start, None: a known start.
     """
     count = len(at)
     scales = [process.scales(start, noise, t) for process, start, _ in parts]

@@ -28,7 +28,10 @@ from fpk.system.modulation import require_constant_noise
 
 
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
-    """Return the densities of one or two modal energies, of the sum of two, or of (q, p)."""
+    """Return the densities of one or two modal energies, of the sum of two, or of (q, p).
+
+    Raises ``InvalidInput`` for the time 0, ``NotApplicable`` under modulated noise.
+    """
     require_constant_noise(asked.system.modulation)
     start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
     require_times(times, positive=True)
@@ -60,7 +63,10 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` slowest rates above 0 of two modal energies, judged by ``tol``."""
+    """Return the ``count`` slowest rates above 0 of two modal energies, to the relative ``tol``.
+
+    Raises ``NotApplicable`` unless there are two modes.
+    """
     if modes.n != 2:
         raise NotApplicable("relaxation rates by fem are those of two modal energies")
     _, stationary, _ = _pair_problem(modes, range(2), EnergyStart(np.zeros(2)), tol)
@@ -72,9 +78,9 @@ def _pair_problem(
 ) -> tuple[list[int], PlaneSolution, PlaneStart]:
     """Return the two modes to solve for, their stationary density and their start.
 
-    They are the modes ``rows`` (0-based), the modes that damping couples to these, and if these are
-    fewer than two an uncoupled mode. ``tol`` is the tolerance of the answer. Raises
-    ``NotApplicable`` if they are not two.
+    They are the modes ``rows`` (0-based), the modes that damping couples to these, and an uncoupled
+    mode if this makes one only. The two are ascending. ``tol`` is the tolerance of the answer.
+    Raises ``NotApplicable`` if they are not two.
     """
     behind = {m for group in modes.averaged.groups if set(group) & set(rows) for m in group}
     alone = [g[0] for g in modes.averaged.groups if len(g) == 1 and g[0] not in behind]
