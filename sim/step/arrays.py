@@ -26,9 +26,9 @@ class TermArrays(NamedTuple):
     """Damping terms ``p_i' = −scale · Π factors · H^energy · p_i^power``, in powers of momenta."""
 
     target: Integers  # (terms,), row of p_i in a state (q, p)
-    power: Integers  # (terms,)
-    scale: Array  # (terms,)
-    energy: Integers  # (terms,)
+    power: Integers  # (terms,), exponent N of p_i
+    scale: Array  # (terms,), coefficient in powers of momenta
+    energy: Integers  # (terms,), exponent e of H
     first: Integers  # (terms + 1,), index of the first factor of each term, and their number
     factor: Integers  # (factors,), row in (q, p), repeated as often as its power; p_i comes last
     springs: Array  # (n, n), K dt of a scheme that kicks by the springs; else empty
@@ -94,11 +94,11 @@ class WatchArrays(NamedTuple):
 
 
 def in_blocks(rows: Array) -> Array:
-    """Return ``rows`` (paths, k) as blocks (blocks, k, LANES); row 0 fills up the last block."""
+    """Return a copy of ``rows`` (paths, k) as (blocks, k, LANES); row 0 fills up the last block."""
     rows = np.concatenate([rows, np.repeat(rows[:1], -len(rows) % LANES, axis=0)])
     return np.array(rows.T.reshape(rows.shape[1], -1, LANES).transpose(1, 0, 2), order="C")
 
 
 def in_rows(blocks: Array) -> Array:
-    """Return a copy of ``blocks`` (blocks, k, LANES) as rows (paths, k)."""
+    """Return a copy of ``blocks`` (blocks, k, LANES) as rows (blocks · LANES, k), one a lane."""
     return np.array(blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1]), order="C")

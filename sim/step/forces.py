@@ -34,14 +34,14 @@ from sim.step.lanes import (
 
 @njit_inline
 def numbers_of(step: StepArrays, stop: int) -> tuple[float, float, float, float, Any]:
-    """Return the sign, clearance, stiffness, exponent and law of the stop number ``stop``."""
+    """Return sign (0: both sides), clearance, stiffness, exponent and law number of a ``stop``."""
     s = step.stops[stop]
     return s[0], s[1], s[2], s[3], np.int64(s[4])
 
 
 @njit_inline
 def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
-    """Return the side (±1) of ``q``, and its overlap with a stop; ``sign`` 0: on both sides."""
+    """Return d and the overlap max(d ``q`` − ``clearance``, 0); d: ``sign``, or if 0 q's sign."""
     d = sign if sign != 0.0 else np.copysign(1.0, q)
     return d, max(d * q - clearance, 0.0)
 
@@ -50,7 +50,11 @@ def overlap_of(q: float, sign: float, clearance: float) -> tuple[float, float]:
 def contact_forces(
     s: Array, g0: int, step: StepArrays, force: Any, slope: Any, width: int = W
 ) -> None:
-    """Write g and g' of every slot to the rows of ``s`` from ``g0``; rows of ``width`` lanes."""
+    """Write the contact force g and dg/dq of every slot to two rows of ``s`` each, from ``g0``.
+
+    q are the first rows of ``s``, of ``width`` lanes; g = dU/dq, so that p' = −g. ``force``,
+    ``slope``: parts of the contact laws for ``of_law``.
+    """
     rows = 2 * step.slot_mass.size
     fill(row(s, g0, rows, width), 0.0, rows * width)
     for stop in range(step.stop_slot.size):
@@ -66,7 +70,7 @@ def contact_forces(
 
 @njit_inline
 def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W) -> None:
-    """Subtract dt times the modified contact force (rows of ``s`` from ``g0``) from the momenta."""
+    """Subtract h g (1 − w h² g'/m) from the momenta, rows ``n``… of ``s``; g, g' at row ``g0``."""
     for slot in range(step.slot_mass.size):
         p, g = row(s, n + step.slot_mass[slot], 1, width), row(s, g0 + 2 * slot, 2, width)
         kick(p, g, step.dt, step.slot_shift[slot], width)
@@ -76,9 +80,10 @@ def kick_by_contact(s: Array, g0: int, step: StepArrays, n: int, width: int = W)
 def add_contact(
     s: Array, q0: int, to: int, step: StepArrays, law_part: Any, forces: bool, width: int = W
 ) -> None:
-    """Add the contact forces at q (rows of ``s`` from ``q0``) to its rows from ``to``.
+    """Add the contact forces g = dU/dq at q to the rows of ``s`` from ``to``, a row for each mass.
 
-    ``law_part`` is the laws' force; if not ``forces``, their energy: U is added to the row ``to``.
+    q: rows from ``q0``, of ``width`` lanes. ``law_part`` is the laws' force; if not ``forces``,
+    their energy: the whole U is added to the row ``to``.
     """
     for stop in range(step.stop_slot.size):
         i = step.slot_mass[step.stop_slot[stop]]
@@ -109,8 +114,8 @@ def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -
 
 @njit_inline
 def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
-    """Write H of the state to row ``work`` + 2 of ``s``, from V in ``work`` + 1; ``width``
-    lanes."""
+    """Write H of the state in the first rows of ``s`` to row ``work`` + 2, from V in the row
+    ``work`` + 1; rows of ``width`` lanes."""
     H = row(s, work + 2, 1, width)
     copy(H, row(s, work + 1, 1, width), width)
     add_kinetic(H, s, step.half_inverse_mass.size, step, width)
@@ -118,17 +123,20 @@ def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
 
 @njit_inline
 def term_rate(
-    rate: Array, s: Array, first: int, terms: TermArrays, k: int, own: int, width: int = W
+    rate: Array, s: Array, first: int, terms: TermArrays, k: int, exponent: int, width: int = W
 ) -> None:
-    """Write κ p^``own`` of term ``k``, without its H, to ``rate``; the state: rows ``first``…."""
+    """Write κ p_i^``exponent`` to the row ``rate``; damping term ``k`` is p_i' = −κ H^e p_i^N.
+
+    The state (q, p) is in the rows of ``s`` from number ``first`` on, of ``width`` lanes.
+    """
     fill(rate, terms.scale[k], width)
-    for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + own):
+    for f in range(terms.first[k], terms.first[k + 1] - terms.power[k] + exponent):
         multiply(rate, row(s, first + terms.factor[f], 1, width), 1, width)
 
 
 @njit_inline
 def flow(p: Array, rate: Array, N: int, t: float, width: int = W) -> None:
-    """Replace ``p`` by the solution of p' = −``rate`` p^``N`` after ``t``; NaN after a blow-up."""
+    """Replace ``p`` (``width``,) by p(``t``) of p' = −``rate`` p^``N``; NaN after a blow-up."""
     if N == 0:
         for k in range(width):
             p[k] -= t * rate[k]
@@ -185,8 +193,11 @@ def term_flows(
 def damping_forces(
     s: Array, first: int, H: Array, watch: WatchArrays, step: StepArrays, width: int = W
 ) -> None:
-    """Write Σ_j c̃_ij v_j to rows ``watch.damping``; state: rows ``first``… of ``s``, energy
-    ``H``."""
+    """Write D_i = Σ_j c̃_ij v_j, p_i' = −D_i, to the rows of ``s`` from ``watch.damping``.
+
+    The state is in the rows from ``first``, of ``width`` lanes; the row ``H``, its energy, is only
+    read if a term contains H.
+    """
     n, rate, terms = step.half_inverse_mass.size, row(s, watch.work, 1, width), step.terms
     fill(row(s, watch.damping, n, width), 0.0, n * width)
     for k in range(terms.target.size):
@@ -199,9 +210,12 @@ def damping_forces(
 def apply_term_processor(
     s: Array, watch: WatchArrays, shift: float, step: StepArrays, width: int = W
 ) -> None:
-    """Apply the processor of the damping terms to the observed (q*, p*): ``q_i* = q_i − shift
-    D_i/m_i``, ``p_i* = p_i + shift dD_i/dt``, ``shift`` = h²/12, D_i the force of the terms, d/dt
-    along springs and contact of the other sign: docs/theory.md, "The step of the simulation"."""
+    """Apply the processor of the damping terms to the observed q and p in ``s``, in place.
+
+    ``q_i − shift D_i/m_i`` and ``p_i + shift dD_i/dt``, ``shift`` = h²/12, D_i the force of the
+    terms, d/dt along springs and the contact force of the other sign, replace them: docs/theory.md,
+    "The step of the simulation". Rows of ``width`` lanes.
+    """
     terms, H = step.terms, row(s, watch.work + 2, 1, width)
     n, work = step.half_inverse_mass.size, watch.work
     fill(row(s, watch.change, 3 * n, width), 0.0, 3 * n * width)
@@ -237,11 +251,11 @@ def observe(
     s: Array, step: StepArrays, watch: WatchArrays, damping: bool, energy_damping: bool,
     energy: bool, moments: bool, force: Any, potential: Any, width: int = W,
 ) -> None:  # fmt: skip
-    """Write the observed state, its energies and its forces to the rows ``watch.at`` of ``s``.
+    """Write the observed state, its energies and its forces to the rows of ``s`` in ``watch``.
 
-    Observed are q, and p in the middle of the kicks, both corrected by the processor. ``width``
-    lanes a row. Inlined before types are inferred: a flag that is a constant False compiles
-    nothing.
+    Observed are q, and p in the middle of the kicks, both corrected by the processor; g and g' are
+    read from the rows ``watch.contact``. A flag (see ``KernelKey``) that is a constant False
+    compiles nothing. Rows of ``width`` lanes.
     """
     n, slots = step.half_inverse_mass.size, step.slot_mass.size
     copy(row(s, watch.q, 2 * n, width), row(s, 0, 2 * n, width), 2 * n * width)
@@ -287,9 +301,9 @@ def observe(
 def find_bins(
     x: Array, number: Array, watch: WatchArrays, m: int, axis: int, index: Integers
 ) -> None:
-    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``.
+    """Write the bin of each lane's ``x`` on ``axis`` of histogram ``m`` to ``index``, from 0.
 
-    It is the number of bins outside and for NaN. ``number`` is a scratch row: bins below x.
+    Outside the bins and for NaN it is the number of bins. ``number`` is a scratch row.
     """
     first, last = watch.piece[m, axis, 0], watch.piece[m, axis, 1]
     fill(number, 0.0)

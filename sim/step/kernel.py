@@ -35,7 +35,7 @@ COMPILED = (
 
 
 def kernel_checksum(laws: Sequence[str] = (), root: Path = ROOT) -> int:
-    """Return a checksum of the source files under ``root`` of compiled code with ``laws``."""
+    """Return a checksum of ``COMPILED`` and of the files of contact ``laws``, under ``root``."""
     return checksum([*(root / name for name in COMPILED), *law_files(laws, root)])
 
 
@@ -52,7 +52,7 @@ class KernelKey(NamedTuple):
     substeps: bool = False  # small steps near stops
 
     def parts_of_laws(self) -> Any:
-        """Return force, slope and energy of the laws for ``of_law``; None without contact laws."""
+        """Return [force, slope, energy] of the laws for ``of_law``, each None without laws."""
         parts = "force", "slope", "energy"
         return [compile_laws(self.laws, part) if self.laws else None for part in parts]
 
@@ -70,7 +70,10 @@ def once(make: Callable[..., Any]) -> Callable[..., Any]:
 
 @njit_inline
 def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -> None:
-    """Apply the linear ``matrix`` to the state in ``s`` and ``pairs`` pairs of normals in ``z``."""
+    """Replace the state in ``s`` by ``matrix`` @ (state, z), z ``pairs`` pairs of rows of normals.
+
+    Rows of ``width`` lanes. The rows of ``s`` after the state are overwritten.
+    """
     n, scratch = matrix.shape
     copy(row(s, n, 2 * pairs, width), z, 2 * pairs * width)
     for i in range(0, n, 2):
@@ -97,8 +100,8 @@ def map_state(s: Array, z: Singles, matrix: Array, pairs: int, width: int = W) -
 def near_lanes(s: Array, work: Array, near: Integers, index: Integers, step: StepArrays) -> int:
     """Write the lanes that may touch a stop within the long step to ``index``; return their number.
 
-    ``s`` holds the states. ``near`` (W,) is scratch, and so is ``work``: two rows, the mean
-    displacement after the step and the bound b(x) of the deviation from the chord.
+    ``s`` contains the states. ``index`` (W,) is filled up with its first lane to a multiple of
+    ``NARROW``. ``near`` (W,) and ``work`` (two rows) are scratch.
     """
     after, bend = row(work, 0), row(work, 1)
     for k in range(W):
@@ -136,10 +139,10 @@ def small_steps(
 ) -> None:  # fmt: skip
     """Copy the states in ``s`` of the ``count`` lanes in ``index`` to ``groups``; advance them.
 
-    Each group has ``size`` numbers, laid out as a workspace of ``NARROW`` lanes with g at row
-    ``at_contact``; the first lane fills up the last group. ``first`` is the place in the sequence
-    of the first word of lane 0, ``pairs`` the words of a step. ``begins`` (W,), the distance of
-    each lane's words from it, ``z`` and ``halves`` are scratch.
+    They are advanced by ``step.small`` small steps; ``s`` does not change. Each group has ``size``
+    numbers, laid out as a workspace of ``NARROW`` lanes with g at row ``at_contact``; the first
+    lane fills up the last group. ``first`` is the place in the sequence of the first word of lane
+    0, ``pairs`` the words of a small step. ``begins`` (W,), ``z`` and ``halves`` are scratch.
     """
     n, many = step.matrix.shape[0] // 2, -(-count // NARROW)
     for k in range(many * NARROW):

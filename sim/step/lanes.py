@@ -18,7 +18,7 @@ from sim.step.arrays import W
 
 @njit_inline
 def zero_rows(rows: int) -> Array:
-    """Return zeros, ``rows`` rows of W lanes, whose memory begins at a cache line of 64 bytes."""
+    """Return zeros (``rows`` · W,) whose memory begins at a cache line of 64 bytes."""
     memory = np.zeros(rows * W + 8)
     first = (-memory.ctypes.data % 64) // 8
     return memory[first : first + rows * W]
@@ -26,13 +26,13 @@ def zero_rows(rows: int) -> Array:
 
 @njit_inline
 def row(s: Array, first: int, rows: int = 1, width: int = W) -> Array:
-    """Return a view of ``rows`` rows of ``s`` from row ``first`` on; rows of ``width`` lanes."""
+    """Return a view (``rows`` · ``width``,) of the flat ``s``, from row number ``first`` on."""
     return s[first * width : (first + rows) * width]
 
 
 @njit_inline
 def kick(p: Array, g: Array, h: float, a: float, width: int = W) -> None:
-    """Subtract ``h g (1 − a g')`` from ``p`` in ``width`` lanes; ``g`` is the rows of g and g'."""
+    """Subtract ``h`` g (1 − ``a`` g') from ``p``, rows of ``width`` lanes; ``g``: g, then g'."""
     for k in range(width):
         p[k] -= h * g[k] * (1.0 - a * g[width + k])
 
@@ -53,7 +53,7 @@ def copy(target: Array, source: NDArray[Any], width: int = W) -> None:
 
 @njit_inline
 def add(target: Array, source: Array, factor: float, width: int = W) -> None:
-    """Add ``factor`` · ``source`` to ``target``, rows of ``width`` lanes; no work if it is 0."""
+    """Add ``factor`` · ``source`` to ``target``, ``width`` lanes each; a factor 0 does nothing."""
     if factor != 0.0:
         for k in range(width):
             target[k] += factor * source[k]
@@ -63,7 +63,7 @@ def add(target: Array, source: Array, factor: float, width: int = W) -> None:
 def add_matrix(
     s: Array, to: int, source: int, matrix: Array, factor: float, width: int = W
 ) -> None:
-    """Add ``factor`` · ``matrix`` · x to the rows of ``s`` from ``to``; x: rows from ``source``."""
+    """Add ``factor`` · ``matrix`` @ x to the rows of ``s`` from ``to``; x: rows from ``source``."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             x = row(s, source + j, 1, width)
@@ -72,7 +72,7 @@ def add_matrix(
 
 @njit_inline
 def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> None:
-    """Multiply ``target`` by ``source``, rows of ``width`` lanes, ``times`` times."""
+    """Multiply ``target`` by ``source`` to the power ``times`` >= 0, rows of ``width`` lanes."""
     for _ in range(times):
         for k in range(width):
             target[k] *= source[k]
@@ -80,7 +80,7 @@ def multiply(target: Array, source: Array, times: int = 1, width: int = W) -> No
 
 @njit_inline
 def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W) -> None:
-    """Add ``factor`` · ``a`` · ``b`` to ``target``, rows of ``width`` lanes; no work if it is 0."""
+    """Add ``factor`` · ``a`` · ``b`` to ``target``, ``width`` lanes each; 0 does nothing."""
     if factor != 0.0:
         for k in range(width):
             target[k] += factor * a[k] * b[k]
@@ -90,7 +90,7 @@ def add_product(target: Array, a: Array, b: Array, factor: float, width: int = W
 def quadratic_form(
     target: Array, s: Array, first: int, form: Array, factor: float = 1.0, width: int = W
 ) -> None:
-    """Write ``factor`` · xᵀ ``form`` x to ``target``; x: the rows of ``s`` from ``first``."""
+    """Write ``factor`` · xᵀ ``form`` x to ``target``; x: rows ``first``… of ``s``."""
     fill(target, 0.0, width)
     for i in range(form.shape[0]):
         for j in range(form.shape[1]):

@@ -27,7 +27,7 @@ Words = NDArray[np.uint64]
 Halves = NDArray[np.uint32]
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-"""2**64 over the golden ratio: distance of two words in the sequence, and of derived seeds."""
+"""2**64 over the golden ratio: distance of neighbouring words in the sequence, of derived seeds."""
 
 u32, f32 = np.uint32, np.float32
 
@@ -90,7 +90,7 @@ def box_muller(rows: Singles, halves: Halves, width: int = LANES) -> None:
 
 @njit_inline
 def word_place(trajectory: int, counter: Any, offset: np.uint64) -> np.uint64:
-    """Return the place in the sequence of word ``counter`` of a ``trajectory``; seed ``offset``."""
+    """Return the place of word ``counter`` of a ``trajectory``; ``offset``: ``stream_offset``."""
     return ((np.uint64(trajectory) << np.uint64(40)) + np.uint64(counter)) * GOLDEN + offset
 
 
@@ -98,7 +98,10 @@ def word_place(trajectory: int, counter: Any, offset: np.uint64) -> np.uint64:
 def fill_normals(
     z: Singles, words: Words, place: np.uint64, pairs: int, width: int = LANES
 ) -> None:
-    """Write ``pairs`` pairs of rows to ``z``; ``place``: of the first trajectory's first word."""
+    """Write standard normals to ``z``: for each of ``pairs`` words two rows of ``width`` lanes.
+
+    ``place``: ``word_place`` of the first word of lane 0; ``words`` (``width``,) is scratch.
+    """
     for pair in range(pairs):
         for lane in range(width):
             word = (np.uint64(lane) << np.uint64(40)) + np.uint64(pair)
@@ -115,7 +118,7 @@ def _fill_blocks(out: Array, words: Words, counter: np.uint64, offset: np.uint64
 
 
 def normals(seed: int, paths: int, counter: int, count: int) -> Array:
-    """Return standard normals (``count``, ``paths``) of a ``seed``, from word ``counter`` on."""
+    """Return normals (``count``, ``paths``) of a ``seed``; word ``counter`` gives the first two."""
     out = np.empty((count + count % 2, -(-paths // LANES) * LANES))
     _fill_blocks(out, np.empty(LANES, np.uint64), np.uint64(counter), stream_offset(seed))
     return out[:count, :paths]
@@ -124,8 +127,8 @@ def normals(seed: int, paths: int, counter: int, count: int) -> Array:
 def start_states(system: System, seed: int, blocks: int) -> Array:
     """Return the states (``blocks``, 2n, LANES) before the burn-in, by the words of a ``seed``.
 
-    They are q = 0 and momenta of covariance kT M. With damping terms displacements are drawn, too:
-    on a limit cycle the noise alone mixes phases slowly.
+    They are q = 0 and momenta of covariance kT M, 0 if kT is inf. With damping terms displacements
+    are drawn, too: on a limit cycle the noise alone mixes phases slowly.
     """
     n, kT, first = system.n, temperature(system), 2**63 // MAX_TRAJECTORIES  # no step comes so far
     L = covariance_factor(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))

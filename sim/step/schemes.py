@@ -28,7 +28,7 @@ class LinearMap:
 
     @property
     def matrix(self) -> Array:
-        """The propagator and the lower trapezoidal factor side by side, padded for the kernel."""
+        """``propagator`` and ``lower_trapezoidal`` factor side by side, by ``pad_columns``."""
         return pad_columns(np.hstack([self.propagator, lower_trapezoidal(self.factor)]))
 
 
@@ -64,10 +64,11 @@ def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, A
 
 
 def covariance_factor(covariance: Array) -> Array:
-    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular.
+    """Return a factor L (m, rank) with L Lᵀ = ``covariance`` (m, m), which may be singular or 0.
 
     Cholesky with pivoting of the matrix scaled to unit diagonal, so that variances of different
-    units and powers of the step have equal weight; it ends at a pivot of the size of round-off.
+    units and powers of the step have equal weight; it ends at a pivot of the size of round-off. An
+    indefinite matrix is not refused, but L Lᵀ then differs from it.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -85,7 +86,7 @@ def covariance_factor(covariance: Array) -> Array:
 
 
 def lower_trapezoidal(factor: Array) -> Array:
-    """Return the ``factor`` (m, rank) of the same covariance whose row i ends at column i.
+    """Return L (m, rank) with L Lᵀ = ``factor`` ``factor``ᵀ and zeros right of the diagonal.
 
     Householder's QR of the transpose with scaled rows: the error of each row is its own round-off.
     """

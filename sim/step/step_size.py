@@ -25,17 +25,17 @@ which damping and noise balance. kT would not do: the density may have a second 
 above."""
 
 STEP_PER_FREQUENCY = 0.45
-"""Step times the angular frequency in contact, springs included. The bias grows with the fourth
-power of the step: beside a sampling error of 3e-4 of the L1 norm of p(q2) (B = 1 and 10) it is
-visible at 0.65 and not at 0.45."""
+"""Largest product of the step and the angular frequency in contact, springs included. The bias is
+of fourth order in the step: beside a sampling error of 3e-4 of the L1 norm of p(q2) (B = 1 and 10)
+it is visible at 0.65 and not at 0.45."""
 
 STEP_WITH_TERMS = 0.22
-"""Step times the angular frequency in contact, springs included, for a system with damping terms.
-Their bias near a stop grows with the square of the step; at this step it is 1e-3 of the kinetic
-balance of the mass."""
+"""Largest product of the step and the angular frequency in contact, springs included, for a system
+with damping terms. Their bias near a stop is of second order in the step; at this step it is 1e-3
+of the kinetic balance of the mass."""
 
 STEP_PER_RATE = 0.1
-"""Step times the largest rate of the damping terms (``chosen_step``). Between steps the
+"""Largest product of step and rate of the damping terms (``chosen_step``). Between steps the
 displacement of a first passage then leaves the cubic by (√3/8) 0.1^1.5 = 0.7 % of its standard
 deviation (``sim.questions.limits``, rates of the limit and of the amplitudes)."""
 
@@ -72,7 +72,7 @@ def temperature(system: System) -> float:
 def contact_frequency(
     system: System, *, springs: bool = False, energy: float = 0.0, kT: float | None = None
 ) -> float:
-    """Return the largest angular frequency in contact √(g'/m); 0 if no stop is reached.
+    """Return the largest angular frequency in contact √(g'/m) of a mass; 0 if none reaches a stop.
 
     With ``springs`` it is √((g' + K_ii)/m_i). A mass that moves alone, the others following
     statically, has the potential ``½ k_eff q² + U(q)``. It is taken to reach the largest of
@@ -108,7 +108,7 @@ def sampling_interval(system: System) -> float:
 
 
 def chosen_step(system: System, *, energy: float = 0.0, kT: float | None = None) -> float:
-    """Return the step of ``exact_flow`` from its bias; for a linear system the sampling interval.
+    """Return the longest step of ``exact_flow`` with a small bias, at most the sampling interval.
 
     Stops limit it by ``contact_frequency`` for ``energy`` and ``kT``. Damping terms need it short
     beside the natural periods and beside their largest rate of a mass, Σ (1 + power of v_i) |c̃_ij|
@@ -162,7 +162,7 @@ def step_for(
 
 
 def relative_sampling_error(samples: float) -> float:
-    """Return the expected relative error of p near its maximum after so many ``samples``."""
+    """Return the expected relative sampling error of p(q) near its maximum: 7/√``samples``."""
     return 7.0 / sqrt(samples)  # 5.8 to 7.7 in runs of 1e9 samples
 
 
@@ -178,7 +178,7 @@ def stability_limit(
 ) -> float:
     """Return the largest stable step 2/ω, ω the ``contact_frequency`` for ``energy`` and ``kT``.
 
-    Springs that kick are part of ω. For a scheme whose kick is last it is the least −2 Re λ/|λ|², λ
+    inf if ω is 0. Springs that kick are part of ω. If the kick is last it is min −2 Re λ/|λ|², λ
     the eigenvalues of the drift out of contact, with constant damping that balances the noise in
     place of damping terms.
     """
@@ -201,6 +201,7 @@ def relaxation_time(system: System) -> float:
     P_m(θ)``, S_m the power of the noise and P_m the power lost to damping; the eigenvalues of ∂P/∂θ
     in equilibrium are decay rates of energies. An equal temperature of all modes gives a second
     estimate, 2n/P'(θ); the longer time is returned. Passages between coexisting states take longer.
+    Raises ``NotApplicable`` with damping terms that never balance the noise.
     """
     if not system.damping_terms:
         return decay_time(system)
@@ -268,7 +269,7 @@ def has_undamped_mode(system: System) -> bool:
 
 
 def loudest(system: System) -> System:
-    """Return the system with constant noise of the largest intensity of its modulation."""
+    """Return a system with constant noise of intensity max e(t)² D; ``system`` itself without e."""
     if system.modulation is None:
         return system
     most = system.modulation.largest * system.noise_intensity
@@ -276,7 +277,7 @@ def loudest(system: System) -> System:
 
 
 def hottest(system: System) -> float:
-    """Return the least T with N <= T c as quadratic forms of v; inf if noise acts on undamped v.
+    """Return the least T with vᵀ N v <= T vᵀ c v for all v; inf if noise acts on undamped v.
 
     With damping terms it is the largest ``modal_temperatures``, or ``temperature`` if larger.
     """
