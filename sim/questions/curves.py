@@ -87,10 +87,12 @@ def curve_answer(
     settings: Mapping[str, float],
     positive: Array | None = None,
 ) -> Curve:
-    """Return the mean of ``blocks`` (blocks, points) as a curve.
+    """Return the mean of independent ``blocks`` (blocks, points) as a curve, with its certificate.
 
-    Its standard error and the errors ``beside`` are added in squares. ``scale`` is the unit of the
-    tolerance. The answer is certified only if ``positive`` (None: the values) is not negative.
+    Its standard error and the errors ``beside``, (points,) or one number, are added in squares.
+    Tolerances are in units of ``scale``. The answer is certified only without ``failures``, words
+    against it, and if ``positive`` (points,), None: the values, is not negative within the error.
+    ``settings`` are for readers.
     """
     values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
     relative, least = float(np.max(errors)) / scale, values if positive is None else positive
@@ -101,14 +103,15 @@ def curve_answer(
 
 
 def copy_displacements(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
-    """Copy q of mass ``row`` from ``trace`` to ``series`` (blocks, samples, LANES), at ``done``."""
+    """Copy q of mass ``row``, samples ``done``… of ``trace``, to ``series`` (blocks, …, LANES)."""
     series[:, done : done + samples + 1] = trace[:, : samples + 1, row]
 
 
 def products_at_lags(q: Array, origins: int) -> tuple[Array, ...]:
     """Return means of q(s) q(s + t), of q(s) + q(s + t), (blocks, lags), and of q, (blocks, 1).
 
-    ``q``: (blocks, samples, LANES); s: the first ``origins`` samples.
+    ``q``: (blocks, samples, LANES); s: the first ``origins`` samples; lags t: 0 … samples −
+    ``origins`` samples.
     """
     samples, number = q.shape[1], origins * LANES
     length = scipy.fft.next_fast_len(samples, real=True)
@@ -139,7 +142,7 @@ def autocovariance(
 
 
 def spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
-    """Return the error of the spline through samples ``spacing`` apart, of the ``rounds``.
+    """Return the largest error of the spline in ``autocovariance`` of samples ``spacing`` apart.
 
     With every other sample the error is 16 times as large: 2/15 of the change is twice the error.
     """
@@ -149,15 +152,15 @@ def spline_error(rounds: list[tuple[Array, ...]], spacing: float) -> float:
 
 
 SAMPLING, OF_CONTACT = 6.0, 3.0
-"""Sampling frequency in units of the highest frequency, asked for or natural, and of the highest in
-contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^−4."""
+"""Least sampling frequency of a spectrum over the highest output or natural frequency; over the
+highest in contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^−4."""
 
 
 def sample_spectrum(method: Settings, asked: Asked) -> Curve:
-    """Return the power spectral density of q of mass ``asked.row`` at the frequencies ``asked.at``.
+    """Return the two-sided power spectral density of q of mass ``asked.row`` at ``asked.at``.
 
-    Frequencies are in rad per unit time. Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on
-    each trajectory, 2 ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common
+    These are frequencies in rad per unit time. Welch's method: |Σ w q e^(−iωt)|² of one Hann window
+    w on each trajectory, 2 ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common
     mean. Leakage is a constant over the square of the length: a third of the difference to windows
     of half the length is added. The error has three parts: the spread of blocks, this third, and a
     bound of the aliasing. The step is half the step of a density. Raises ``InvalidInput`` for so

@@ -27,7 +27,7 @@ def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
 
 
 def energies_at(system: System, limit: Limit) -> Array:
-    """Return the values of ``energies_of``; for |q_i| the least potential energy at ± the limit."""
+    """Return the limits of ``energies_of``; of |q_i| < a the least energies (2,) at q_i = a, −a."""
     if limit.kind != "q":
         return np.array([limit.values[str(c)] for c in energies_of(limit, system.n)])
     i, springs = limit.observable(system.n)[0].row, 0.5 * limit.value**2
@@ -36,7 +36,7 @@ def energies_at(system: System, limit: Limit) -> Array:
 
 
 def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return which states ``q``, ``p`` (paths, n) are at or beyond ``limit``, up to round-off."""
+    """Return flags (paths,) of states ``q``, ``p`` (paths, n) at or, but for round-off, beyond."""
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
@@ -45,13 +45,13 @@ def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
 
 
 def modal_rates(system: System, limit: Limit, matrix: Array) -> Array:
-    """Return T_m' ``matrix`` T_m (modes,) for the modes m of a modal ``limit``."""
+    """Return T_mᵀ ``matrix`` T_m (modes,), T_m the shapes of the modes m of a modal ``limit``."""
     T = natural_modes(system)[0][:, [c.row for c in energies_of(limit, system.n)]]
     return np.asarray(np.einsum("im,ij,jm->m", T, matrix, T))
 
 
 def largest_energy(system: System, start: Start) -> float:
-    """Return the largest energy of the ``start``; for stationary states ``REACHED`` kT.
+    """Return the energy H of the ``start``; of stationary states ``REACHED`` kT of their noise.
 
     Raises ``NotApplicable`` for a stationary state without damping.
     """
@@ -121,7 +121,7 @@ STEPS_PER_PERIOD = 20
 of the two simulations."""
 
 STEPS_SINCE_START = 8
-"""Least number of steps before any time at which an answer is wanted."""
+"""Least number of steps from the start to the first output time."""
 
 CHUNK_STEPS = 256
 """Steps after which the wall time is checked; of 8192 trajectories they take 10 ms or more."""
@@ -155,8 +155,8 @@ def motion_step(
 ) -> tuple[float, list[str]]:
     """Return the longer step of the two simulations of a motion, and words against it, if any.
 
-    ``reach``: energies and times of the motion; ``error``: wanted relative error of p. A ``dt`` of
-    the user beyond ``too_long`` times the step chosen here is not certified. Raises
+    ``reach``: energies and times of the motion; ``error``: allowed relative error of p, by default
+    paths^(−½). A user's ``dt`` beyond ``too_long`` times the longest step gives words. Raises
     ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which alone
     can repeat a motion at half the step; ``NotApplicable`` without noise.
     """
@@ -179,16 +179,17 @@ def motion_step(
 
 
 def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0) -> float:
-    """Return the first step: at most ``dt``, short beside the first of ``times`` and ``start``.
+    """Return the first step: ``dt``, or less if the first of ``times`` > 0 or ``start`` is near.
 
-    ``start`` is ``Reach.start``; both limits are multiplied by ``factor``.
+    Its bounds ``times`` / ``STEPS_SINCE_START`` and ``start`` · ``STEP_PER_RATE``, ``start`` being
+    ``Reach.start``, are multiplied by ``factor``.
     """
     asked = float(np.min(times[times > 0.0], initial=inf)) / STEPS_SINCE_START
     return min(dt, factor * min(asked, step_size.STEP_PER_RATE * start))
 
 
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
-    """Yield a step and how often it is made, at ``most`` so many at once, from time 0 to ``end``.
+    """Yield pairs of a step and a number of such steps, at most ``most``, from time 0 to ``end``.
 
     Steps double from ``first`` to ``dt``; each is at most the time so far / ``STEPS_SINCE_START``.
     """

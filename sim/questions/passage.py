@@ -1,7 +1,4 @@
-"""First passage by simulation: failure times, some censored, and what is estimated from them.
-
-These are the moments of the failure time T, the failure rate, P(T > t), and their errors.
-"""
+"""First passage by simulation: failure times, some censored; their moments, rate and P(T > t)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from math import ceil, inf, nan, sqrt
@@ -35,8 +32,8 @@ LEAST_TAIL_FAILURES = 100
 """Least number of failures in the tail for a certified failure rate and extrapolation by it."""
 
 LARGEST_BIAS, CHANCE = 0.5, 3.0
-"""Largest difference between two steps, relative to the number, that is a bound of the bias at half
-the step; largest difference by chance in standard errors."""
+"""Largest relative change of a number from dt to dt/2 that still bounds its bias at dt/2; largest
+change by chance, in standard errors."""
 
 Run = tuple[Any, int, Callable[[Any], Reader], tuple[int, ...]]
 """An ensemble, its steps in a step of the coarser simulation, a function that makes its reader, and
@@ -85,7 +82,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
 
 
 def noise_times(modulation: Modulation | None) -> tuple[float, float]:
-    """Return the times after which the noise is constant, and after which there is none; or inf."""
+    """Return times after which noise is constant, 0 without modulation, and is 0; inf if never."""
     if modulation is None:
         return 0.0, inf
     end = float(modulation.times[-1])
@@ -95,8 +92,8 @@ def noise_times(modulation: Modulation | None) -> tuple[float, float]:
 def horizon(method: Settings, dt: float, last: float, end: float = inf) -> float:
     """Return the longest time of a trajectory: ``time`` of the method, or by its ``most_steps``.
 
-    The latter are steps ``dt`` and dt/2, at most to the ``end`` of the noise, and at least to
-    ``last``, the last time asked for.
+    The latter count the steps ``dt`` and dt/2; the time is then at most the ``end`` of the noise,
+    and at least ``last``, the last output time.
     """
     return method.time or max(min(method.most_steps / 3.0 * dt, end), last)
 
@@ -159,7 +156,7 @@ def passage_in_rounds(
 
 
 def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
-    """Return E T, var T, the failure rate after ``begin``, and P(T > t) at ``times``.
+    """Return E T, var T, the failure rate after ``begin``, P(T > t) at ``times``: (3 + times,).
 
     Paths fail at ``time`` (paths,), or are censored at ``until`` (paths,). P(T > t) by Kaplan and
     Meier (J. Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it decays with the failure
@@ -187,9 +184,9 @@ def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
 def tail_begin(time: Array, until: Array, memory: float) -> float:
     """Return the time from which on the failure rate is constant within its sampling error.
 
-    Failures at ``time``, censored at ``until``. It is the earliest time from which the rate agrees
-    with the rates from all later times within ``CHANCE`` errors (Lepski's rule), plus ``memory``;
-    ``LEAST_TAIL_FAILURES`` must come after it.
+    Failures at ``time``, censored at ``until``, (paths,). It is the earliest time from which the
+    rate agrees with the rates from all later times within ``CHANCE`` errors (Lepski's rule), plus
+    ``memory``, but leaves ``LEAST_TAIL_FAILURES``; 0 unless more than twice as many have failed.
     """
     seen = np.minimum(time, until)
     events = np.sort(seen[time <= until])
@@ -213,11 +210,11 @@ def tail_begin(time: Array, until: Array, memory: float) -> float:
 def with_errors(
     sampled: Array, times: Array, begin: float
 ) -> tuple[Array, Array, Array, list[str]]:
-    """Return ``estimates`` at half the step, their errors, their differences to the step, failures.
+    """Return ``estimates`` at half the step, their errors, their |differences| to the step, words.
 
-    ``sampled`` (3, paths): failure times at half the step and at the step, and times of censoring,
-    as in ``passage_of``; ``estimates`` explains ``times`` and ``begin``. Errors: the jackknife over
-    groups, and the difference between the two steps, added in squares; inf where that is NaN.
+    ``sampled`` (3, paths): see ``passage_of``; ``times``, ``begin``: see ``estimates``. Errors: the
+    jackknife over groups, and the difference between the two steps, added in squares, with inf in
+    place of NaN. The words are against certification, if the two steps differ too much.
     """
     fine, coarse, until = sampled
     best = estimates(fine, until, times, begin)

@@ -26,7 +26,7 @@ Cubic = tuple[float, float, float, float]
 
 @njit_inline
 def cubic_of(q0: float, v0: float, q1: float, v1: float, h: float) -> Cubic:
-    """Return the coefficients, ascending, of the cubic q(s), s = t/``h``, by q, v at both ends."""
+    """Return the coefficients of 1, s, s², s³, s = t/``h``, of the cubic by q, v at t = 0 and h."""
     change = q1 - q0
     return q0, h * v0, 3.0 * change - h * (2.0 * v0 + v1), h * (v0 + v1) - 2.0 * change
 
@@ -108,7 +108,7 @@ def reader(function: Callable[..., None]) -> Reader:
 
 @njit_inline
 def count_rise(counts: Integers, levels: Array, low: float, high: float) -> None:
-    """Add to ``counts`` of ``levels`` in (``low``, ``high``]: 1 at the first, −1 past the last."""
+    """Change ``counts``: 1 more in its running sum at each of ``levels`` in (``low``, ``high``]."""
     if high <= levels[0] or low >= levels[-1] or not low < high:
         return
     begin, end = np.searchsorted(levels, low, "right"), np.searchsorted(levels, high, "right")
@@ -123,7 +123,11 @@ def count_upcrossings(
     inverse_mass: float, levels: Array,
 ) -> None:  # fmt: skip
     """Add to ``counts`` (blocks, levels + 1), whose running sums are upcrossings of the ``levels``.
-    Levels ascend. Every rising part of the cubic between two steps counts."""
+
+    A ``Reader``; ``done`` is not used. Levels ascend. q and p are the rows ``row``, ``momentum`` of
+    ``trace``, v = ``inverse_mass`` · p. Every rising part of the cubic between two of the
+    ``samples`` + 1 states, ``dt`` apart, counts.
+    """
     for b in range(trace.shape[0]):
         own = counts[b]
         for k in range(samples):
@@ -149,8 +153,12 @@ def pass_displacement(
     trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
     row: int, momentum: int, inverse_mass: float, limit: float,
 ) -> None:  # fmt: skip
-    """Write the time when |q| in ``row`` first passes ``limit`` to ``time`` (blocks, 1, LANES).
-    Only if ``time`` is inf; ``chance`` is not used."""
+    """Write the time when |q| first passes ``limit`` to ``time`` (blocks, 1, LANES), if inf there.
+
+    A ``Reader``; ``chance`` is not used. q and p are the rows ``row``, ``momentum`` of ``trace``, v
+    = ``inverse_mass`` · p; the states ``done`` to ``done`` + ``samples`` lie ``dt`` apart, number 0
+    at the time ``begin``.
+    """
     for b in range(trace.shape[0]):
         own = time[b, 0]
         for k in range(samples):
@@ -172,13 +180,16 @@ def pass_energies(
     trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
     first: int, rows: Integers, limits: Array, diffusion: Diffusion, spread: Array,
 ) -> None:  # fmt: skip
-    """Write the time when an energy in ``rows`` first passes its limit to ``time`` (…, LANES), if
-    it is earlier. Momenta are rows from ``first`` on. Between samples the distance d
+    """Write the time when an energy first passes its limit to ``time`` (blocks, 1, LANES), if less.
+
+    Energies are the ``rows`` (limits,) of ``trace``, momenta the rows from ``first``; times of the
+    samples follow from ``done``, ``dt`` and ``begin``. Between samples the distance d
     (``distance_to``) is a Brownian bridge, which reaches 0 with the probability exp(−2 d0 d1/h), h
-    in ``spread`` (samples,) being ∫e² dt, at the share d0/(d0 + |d1|) of the step: right in the
-    mean. A limit is passed when the sum of −ln(1 − probability) exceeds its exponential number in
-    ``chance`` (blocks, limits, LANES): at another step the same motion passes at nearly the same
-    time."""
+    in ``spread`` (samples,) being ∫e² dt, at the share d0/(d0 + |d1|) of the step. A limit is
+    passed when the sum of −ln(1 − probability) exceeds its exponential number in ``chance``
+    (blocks, limits, LANES), from which the sum is subtracted in place: at another step the same
+    motion passes at nearly the same time.
+    """
     variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
     for b in range(trace.shape[0]):
         own = time[b, 0]
@@ -211,7 +222,7 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
     """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ.
 
     For H, F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own
-    momentum. β = 0 means that no noise reaches the energy: the distance to its limit is then huge.
+    momentum; empty for |q_i|. If no noise reaches an energy, the distance to its limit is huge.
     """
     N = system.noise_matrix
     if limit.kind == "H":

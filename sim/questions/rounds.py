@@ -37,7 +37,7 @@ between two looks at the wall time, all trajectories together."""
 
 @dataclass(eq=False)
 class Watch:
-    """Ends a simulation when its error is ``tol``, after ``seconds`` of wall time, or by Ctrl-C.
+    """Ends a simulation when its error is <= ``tol``, after ``seconds`` of wall time, or by Ctrl-C.
 
     ``stopped()``: whether Ctrl-C was pressed and the answer may be partial. ``begin``: a value of
     ``working_time``.
@@ -49,7 +49,7 @@ class Watch:
     begin: float = field(default_factory=working_time)
 
     def ends(self) -> bool:
-        """Return whether it is time to stop."""
+        """Return whether Ctrl-C was pressed or ``seconds`` have passed since ``begin``."""
         return bool(self.stopped()) or working_time() - self.begin > self.seconds
 
     def until(
@@ -58,7 +58,8 @@ class Watch:
         """Call ``answer`` with 0, 1, … until its result, an error, is at most ``tol``.
 
         It is called ``least`` to ``most`` times, but not after ``ends()`` or a result None (cut
-        short). Return words if Ctrl-C was pressed.
+        short). Without ``tol`` it is called until a finite time ``seconds`` is over, else ``least``
+        times. Return one sentence in a list if Ctrl-C was pressed, else an empty list.
         """
         number, more = 0, True
         while more and (error := answer(number)) is not None:
@@ -225,9 +226,10 @@ def on_shell(system: System, energy: float, paths: int, stream: Generator) -> tu
 def working(
     method: Settings, system: System, tol: float | None, start: Start | None = None
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield workers, a ``Watch`` with ``tol``, and ``initial_states`` of ``start``.
+    """Yield workers, a ``Watch`` with ``tol``, and ``origin(paths, number)`` by ``initial_states``.
 
-    None: stationary states.
+    ``start`` None: stationary states. Wall time is limited by ``seconds``, or with ``tol`` by
+    ``longest``.
     """
     start = start or Start("noise", {"noise": 1.0})
     seconds = method.seconds or (method.longest if tol is not None else inf)

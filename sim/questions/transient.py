@@ -79,8 +79,8 @@ def transient_in_rounds(
     ``states(number, begin)`` yields the coordinates (paths,) of a round as ``motions`` does, at
     half the step and, if the step has an error, at the step; ``axis`` makes bins as ``axis_of``
     does. ``rounds``: number without a tolerance, and the largest. The error is one standard error
-    and the change at the longer step, added in squares, or inf where bins do not resolve the
-    density.
+    and the change at the longer step, added in squares, or inf at points in bins that do not
+    resolve the density. ``failures``: words against certification.
     """
     times, tol = asked.times, inf if watch.tol is None else watch.tol
     sampled = list[tuple[histogram.Histogram, Integers]]()  # counts (2, GROUPS, bins + 1)

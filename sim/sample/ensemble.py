@@ -253,7 +253,7 @@ class Ensemble:
         return np.add.reduceat(self.live, self.edges[:-1])
 
     def batch_means(self) -> Array:
-        """Return the mean of each product over the samples of each batch, (batches, products)."""
+        """Return means of products over a batch's samples and trajectories, (batches, products)."""
         alive = np.arange(LANES) < self.live[:, None, None]
         blocks = np.where(alive, self.sums, 0.0).sum(axis=2)
         sums = np.add.reduceat(blocks, self.edges[:-1], axis=0)

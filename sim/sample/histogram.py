@@ -74,8 +74,8 @@ def bin_axis(
 ) -> BinAxis:  # fmt: skip
     """Return about ``bins`` bins from ``low`` to ``high``, equally many between any two ``kinks``.
 
-    Kinks outside [``low``, ``high``) are ignored. ``widening``: above a kink bins widen as in
-    ``BinAxis``, since p may have a root there: (H − H_c)^(1/2) if contact begins, H^(−1/4) for a
+    Kinks outside [``low``, ``high``) are ignored. ``widening``: above a kink bins widen (see
+    ``BinAxis``), since p may have a root there: (H − H_c)^(1/2) if contact begins, H^(−1/4) for a
     stop without clearance, H^(−1/2) after a start at rest. ``reference``: ln r of ``BinAxis``.
     """
     inside = list[float]()
@@ -153,7 +153,7 @@ def axis_of(
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
-    """Return least and largest values (coordinates, 2) in the states ``q``, ``p`` (samples, n)."""
+    """Return the extremes (coordinates, 2) of ``observables`` over ``q``, ``p`` (samples, n)."""
     # The rounding of sums over masses depends on the layout in memory.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
     values = [values_of(system, c, q, p) for observable in observables for c in observable]
@@ -203,7 +203,7 @@ def starts(histograms: Sequence[Histogram]) -> Integers:
 
 
 def add_mirror_images(histogram: Histogram, counts: Integers) -> Integers:
-    """Return ``counts`` (batches, bins + 1) plus mirror images (−q, −p); the last doubled."""
+    """Return ``counts`` (batches, bins + 1) plus mirror images (−q, −p); the last bin doubles."""
     axes = tuple(a for a, c in enumerate(histogram.observable, start=1) if c.kind != "H")
     reflected = np.flip(counts[:, :-1].reshape(-1, *histogram.shape), axis=axes)
     return np.hstack([counts[:, :-1] + reflected.reshape(len(counts), -1), 2 * counts[:, -1:]])
@@ -286,7 +286,7 @@ def density_of_counts(
 
 
 def words_on_resolution(density: SampledDensity) -> list[str]:
-    """Return one sentence, on the first range where bins do not resolve ``density``, or none."""
+    """Return [a sentence on the first range where bins do not resolve ``density``], or []."""
     for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)

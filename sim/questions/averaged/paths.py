@@ -33,7 +33,7 @@ from sim.step.random import stream_of
 from sim.step.step_size import STEP_PER_RATE
 
 Starts = Callable[[int, Generator], Array]
-"""Draws the energies (paths, d) at time 0 of so many paths by a stream."""
+"""``starts(paths, stream)`` returns energies (paths, d) at time 0, drawn from the stream."""
 
 GROUP = 4
 """Blocks of paths that share a stream of random numbers and make one task of a thread."""
@@ -67,7 +67,7 @@ class EnergyEnsemble:
 
     @property
     def time(self) -> float:
-        """Time of the states."""
+        """Time of the states X, ``begin`` + ``done`` · ``dt``."""
         return self.begin + self.done * self.dt
 
     def advance(self, steps: int, *arrays: Array, read: Reader | None = None, **_: Any) -> None:
@@ -93,7 +93,7 @@ class EnergyEnsemble:
         return replace(self, dt=dt, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
-        """Continue with the paths number ``lanes`` alone."""
+        """Continue with the paths number ``lanes`` alone, in this order."""
         self.X = self.X[lanes]
 
 
@@ -116,9 +116,10 @@ def simulate_energies(
     """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified.
 
     ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
-    whose last states give the ranges of the histograms, or for ``seconds`` of wall time. ``tol``:
-    tolerance of the expected L1 error. Raises ``InvalidInput`` if ``paths`` is no multiple of the
-    number of batches.
+    whose last states give the ranges of the histograms, or at most for ``seconds`` of wall time.
+    ``tol``, tolerance of the expected L1 error, decides on certification only. ``threads`` do not
+    change the numbers of a ``seed``. Raises ``InvalidInput`` if ``paths`` is no multiple of
+    ``MAX_BATCHES``, or less than four times as large.
     """
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
         many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
@@ -167,9 +168,9 @@ def energy_axis(
     form: SquareRootForm, coordinate: Coordinate, low: float, high: float, bins: int,
     *, rises: bool = False,
 ) -> BinAxis:  # fmt: skip
-    """Return bins of an energy from 0 to ``high``, as ``sim.sample.histogram.axis_of`` does.
+    """Return about ``bins`` bins of an energy from 0 to ``high`` and a margin; see ``axis_of``.
 
-    ``low``, its least sampled value, is not used.
+    ``rises``: the density may rise towards 0. ``low`` is not used.
     """
     total = coordinate.index is None
     kinks = [*([0.0] if rises else []), *(form.kinks if total else ())]
@@ -219,7 +220,7 @@ def energy_passage(
     known |= {"rows": d + np.arange(values.size), "limits": values, "first": 0}
 
     def see(trace: Array, samples: int, done: int, *arrays: Array, dt: float, begin: float) -> None:
-        """Read every step of ``trace``, and every second step if there are two more arrays."""
+        """Call ``pass_under`` with the first two ``arrays``; with two more at every second step."""
         for k in range(1, len(arrays) // 2 + 1):
             X, times = trace[:, ::k], arrays[2 * k - 2 : 2 * k]
             rows = np.concatenate([np.sqrt(X), weights @ X], axis=2)

@@ -43,7 +43,7 @@ class SquareRootForm:
         return "exact" if self.damping is None else "Strang splitting"
 
     def under(self, factor: float) -> "SquareRootForm":
-        """Return the form with ``factor`` times the noise intensity."""
+        """Return the form of ``factor`` times the noise intensity in d, β and, by ``quiet``, γ."""
         louder = replace(self, noise=factor * self.noise, slope=factor * self.slope)
         if self.quiet is None or self.damping is None:
             return louder
@@ -77,9 +77,10 @@ class SquareRootForm:
 
 
 def square_root_form(process: Process) -> SquareRootForm:
-    """Return the form whose X are modal energies H_i, b_ii = β_i H_i, s_i = d_i where H_i = 0.
+    """Return the form whose X are the energies H_i of ``process``, with σ²_ii = β_i H_i.
 
-    Raises ``NotApplicable`` where β_i or d_i depends on the energies, or b_ij ≠ 0.
+    d_i is the drift of H_i = 0. Raises ``NotApplicable`` if β_i or d_i depends on the energies, or
+    the noises of two energies are correlated.
     """
     scales = np.array(process.energy_scales)
     probes = np.random.default_rng(0).exponential(scales, (64, scales.size))
@@ -117,9 +118,10 @@ def square_root_form(process: Process) -> SquareRootForm:
 def line_form(process: Process) -> SquareRootForm:
     """Return the form of X = R², R = ∫ dH/√b from 0, which is a square-root process for any b(H).
 
-    By Ito's formula ``dX = μ dt + 2 √X dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = d = 2n with
-    n degrees of freedom. For a stop without clearance γ is steep near 0, and the steps are not of
-    weak order two. Raises ``NotApplicable`` if the stationary density does not decay.
+    s is the drift and b = σ² the diffusion of ``process``. By Ito's formula ``dX = μ dt + 2 √X
+    dB``, ``μ = 1 + 2 R (s − b'/4)/√b``, and μ(0) = d = 2n with n degrees of freedom. For a stop
+    without clearance γ is steep near 0, and the steps are not of weak order two. Raises
+    ``NotApplicable`` if the stationary density does not decay.
     """
     grid = process.energy_scale * np.logspace(-3.0, 3.0, 600)
     slope = log_density_slope(process.coefficients(grid))

@@ -47,11 +47,11 @@ ROWS, COLUMNS = 128, 256
 def least_action(
     energies: Array, times: Array, *, limit: float, noise: float, decay: float
 ) -> Array:
-    """Return −(least action) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``.
+    """Return −(least action) (times, energies) of failure of ``dH = (D' − γ H) dt + √(2 D' H) dB``.
 
-    ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in ``energies``, τ in ``times``, H_f
-    ``limit``, D' ``noise``, γ ``decay`` of any sign: the exponent of the Gaussian transition of an
-    oscillator's amplitude.
+    The action is ``(√H_f − √H e^{−γτ/2})² γ/(D' (1 − e^{−γτ}))``, H in ``energies``, τ in
+    ``times``, H_f ``limit``, D' ``noise``, γ ``decay`` of any sign: the exponent of the Gaussian
+    transition of an oscillator's amplitude.
     """
     tau = times[:, None]
     grown = tau if decay == 0.0 else -np.expm1(-decay * tau) / decay
@@ -119,8 +119,8 @@ def look(
 ) -> None:  # fmt: skip
     """Write four numbers of each limit to ``seen`` (c, 4), for the observed state in ``s``.
 
-    They are: the distance to the limit; q and v of a displacement, or σ² and its growth of an
-    energy; and the share x = √(E/E_f).
+    They are: the distance to the limit; q and v of a displacement (``of_q``), or σ² and its growth
+    of an energy; and the share x = √(E/E_f). ``law``: contact energies for ``of_law``.
     """
     values, noise, reach, energy, mass = limit
     if of_q:
@@ -145,7 +145,7 @@ def look(
 
 @once
 def path_function_for(key: KernelKey, kind: str) -> Any:
-    """Return the compiled function that simulates paths; ``kind``: the ``Limit.kind``."""
+    """Return ``renew``, compiled, which simulates paths; ``kind``: the ``Limit.kind``."""
     laws, _, damping, energy_damping, energy, _, pairs, _ = key
     force, slope, law = key.parts_of_laws()
     displacement = kind == "q"
@@ -158,8 +158,9 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
     ) -> None:  # fmt: skip
         """Copy ``parents`` to ``dead`` up to where they exceed ``level``; simulate the rest anew.
 
-        ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path. States are
-        recorded in the middle of the damping and before the kick.
+        ``paths`` are changed in place. ``level`` −1: new paths from the first records of
+        ``parents``. ``first``: number of the stream of ``dead[0]``; ``steps`` of a whole path;
+        ``tables``: of the score. States are recorded in the middle of the damping, before the kick.
         """
         n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
         values = limit[0]
@@ -259,7 +260,7 @@ class Replicas:
     def __init__(
         self, problem: SystemProblem, count: int, steps: int, seed: int, stream: Generator
     ) -> None:
-        """Simulate all paths."""
+        """Draw the starts and simulate all ``count`` paths."""
         system, limit, n = problem.system, problem.limit, problem.system.n
         at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
         if limit.kind == "q":

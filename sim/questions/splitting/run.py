@@ -124,8 +124,9 @@ def split(
     """Return ln of the estimated P(score >= ``failure``), the number of levels, and early failures.
 
     Early failures are replicas that fail before any is killed. ``replicas`` have ``best`` and
-    ``renew`` (``CompiledReplicas``); each level kills ``killed`` of them, and ties. The logarithm
-    is −inf if a level kills all replicas, NaN if the working time ``until`` has passed.
+    ``renew`` (see ``Replicas``), which changes them; each level kills the ``killed`` worst, and
+    ties; survivors to be copied are drawn from ``stream``. The logarithm is −inf if a level kills
+    all replicas, NaN if the value ``until`` of ``working_time`` has passed.
     """
     log_probability, levels = 0.0, 0
     failed = int(np.sum(replicas.best >= failure))
@@ -146,7 +147,7 @@ def split(
 def system_problem(
     system: System, limit: Limit, start: Start, time: float, *, dt: float | None, score: Score
 ) -> SystemProblem:
-    """Return failure of ``limit`` before ``time`` with its score, and its step, by default chosen.
+    """Return the problem of failure at ``limit`` before ``time``; None: chosen ``dt``, ``score``.
 
     Raises as ``rare_failure`` does, and ``InvalidInput`` for ``dt`` beyond ``limits.TOO_LONG``
     times the chosen step.
@@ -216,13 +217,13 @@ def rare_failure(
 
 
 def repetition(
-    problem: SystemProblem, settings: Splitting, left: float, number: int, fine: int
+    problem: SystemProblem, settings: Splitting, seconds: float, number: int, fine: int
 ) -> tuple[int, int, tuple[float, int, int, int]]:
-    """Make repetition ``number`` at the step dt / 2**``fine``; return both and its result.
+    """Return ``number``, ``fine`` and the result of this repetition at the step dt / 2**``fine``.
 
-    The result is what ``split`` returns, within ``left`` seconds, and the number of steps.
+    The result is the three numbers of ``split``, ended after ``seconds``, and the number of steps.
     """
-    until, stream = working_time() + left, stream_of(settings.seed, 2 * number + fine)
+    until, stream = working_time() + seconds, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = Replicas(problem, settings.replicas, steps, seed, stream)
     result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
@@ -230,7 +231,7 @@ def repetition(
 
 
 def step_count(problem: SystemProblem) -> int:
-    """Return the number of the longer steps in the time; a path has 2**40 words, 2**8 a step."""
+    """Return the number of the longer steps in the time; ``InvalidInput`` for more than 2**32."""
     steps: int = ceil(problem.time / problem.dt * (1.0 - 1e-12))
     most = 2**56 // MAX_TRAJECTORIES
     if not 1 <= steps <= most:
@@ -292,7 +293,7 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
     largest values, and its mean and deviation are too small. The error is therefore the larger of
     the usual standard error and ``mean √((e^{s²}/(1 − e) − 1)/count)``, s² the variance of the
     logarithms and e the share of zeros; inf if it exceeds ``LARGEST_SPREAD`` times the mean, which
-    may then be wrong by orders of magnitude.
+    may then be wrong by orders of magnitude. Both are 0 if all values are 0.
     """
     values = np.exp(log_values)
     mean, error = float(values.mean()), float(values.std(ddof=1))
@@ -307,11 +308,11 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
 
 
 def failure_estimate(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
-    """Return the probability from repetitions ``made`` (results, 2, count) at 2 ``dt`` and ``dt``.
+    """Return the probability from repetitions ``made`` (4, 2, count) at 2 ``dt`` and ``dt``.
 
-    If the bias falls at least as fast as the step, it is at most the difference of the two means. A
-    difference below its standard error may be small by chance: then this error is taken for it.
-    ``seconds``: wall time.
+    The rows are ln P, levels, early failures, steps; see ``split``. If the bias falls at least as
+    fast as the step, it is at most the difference of the two means. A difference below its standard
+    error may be small by chance: then this error is taken for it. ``seconds``: wall time.
     """
     (coarse, fine), levels, failures, steps = made
     paths, unit = settings.replicas * fine.size, float(np.max(made[0]))
