@@ -61,7 +61,7 @@ def in_units(system, a, L, t):
 
 
 def mirrored(system):
-    """The system with left and right exchanged: that of −q and −p."""
+    """The system that −q and −p obey: left and right are exchanged."""
     other = {"left": "right", "right": "left", "both": "both"}
     contacts = tuple(replace(c, side=other[c.side]) for c in system.contacts)
     terms = (

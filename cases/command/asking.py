@@ -88,7 +88,7 @@ class Asked:
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, str, float]:
-        """The method that answers, its answer, a note or "", wall seconds; raises ``BadInput``."""
+        """The method, its answer, a note on a loosened tolerance, seconds; raises ``BadInput``."""
         from cases.compare.routes import all_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 

@@ -28,8 +28,7 @@ def main() -> None:
 
 
 def answer_interrupt(number: int, frame: FrameType | None) -> None:
-    """Handle the signal of Ctrl-C: raise ``KeyboardInterrupt`` here, and in threads that wait for
-    numba to compile. Arguments as of any signal handler."""
+    """Handle SIGINT: raise ``KeyboardInterrupt`` here and in threads that wait for compilations."""
     getattr(sys.modules.get("fpk.numeric.compiling"), "abandon", bool)()
     signal.default_int_handler(number, frame)
 

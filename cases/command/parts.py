@@ -84,7 +84,7 @@ simulation_options = with_options(
 
 
 def command_line() -> str:
-    """Return the command that is being run with the arguments it was given."""
+    """Return the running command as a line for a shell; options at their defaults are left out."""
     context = click.get_current_context()
     words = context.command_path.split()
     for parameter in context.command.params:

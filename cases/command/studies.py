@@ -30,8 +30,8 @@ VERIFY_SECONDS = 300.0
 """Seconds that ``fpk verify`` gives to a simulation of a scene whose simulations are expected to
 need more in all (twice the third slowest shipped scene); an answer that is cut fails."""
 FULL_WORK = 5e10
-"""Largest number of multiplications of a solution of the full equation: about a second, with an
-error below the sampling error."""
+"""Largest number of multiplications of a solution of the full equation in ``fpk verify``: about a
+second, with an error below the sampling error."""
 
 
 def study(work: Callable[..., Any]) -> click.Command:

@@ -235,7 +235,7 @@ def _theory(route: Route) -> str:
 
 
 def verify_row(digest: Record) -> Record:
-    """Return the row of ``fpk verify``; a curve without a judged comparison is a problem, too."""
+    """Return the counts, problems and claims of a run; an unjudged curve is a problem, too."""
     curves = curves_of(digest)
     unjudged = [
         f"{curve['label'] or digest['scene']}: no comparison was judged"

@@ -30,7 +30,7 @@ MASSES, LINEAR_MASSES = 3, 50
 displacement is computed, in about a second. Otherwise, and for damping that depends on the state
 beside a contact, only the rms of the contact mass."""
 RMS_METHODS = ("linear", "exact", "nonintegrable")
-"""Methods for the rms of a displacement; the first that applies is used. Two are exact for (6)."""
+"""Methods tried in this order for the rms of a displacement; the first two are exact for (6)."""
 
 
 def show_record(scene: Scene) -> Record:

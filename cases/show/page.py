@@ -114,7 +114,7 @@ def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int
 
 
 def script_record(plots: Sequence[Record], **more: Any) -> Record:
-    """Return the data of the scripts ``PLOTS``: plots, colours of maps, and the keys ``more``."""
+    """Return ``plots``, the ``palette`` of maps as hex colours, and ``more``, as JSON has them."""
     palette = [to_hex(c) for c in colormaps["viridis"](range(0, 256, 256 // PALETTE))]
     return plain({"plots": plots, "palette": palette, **more})
 

@@ -42,7 +42,7 @@ def summary_frame(answers: Answers) -> Any:
 
 
 def dataset(answers: Answers) -> Any:
-    """Return ``density_variables`` as an xarray data set without the dimension ``curve``.
+    """Return the densities and errors (route, coordinates) on common grids as an xarray data set.
 
     Raises ``Unavailable`` if xarray is not installed.
     """

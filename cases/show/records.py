@@ -83,7 +83,7 @@ def answer_record(
 
 
 def curves_by_key() -> dict[str, Question]:
-    """Return the questions about the motion of a displacement by ``key``, such as "spectrum"."""
+    """Return the questions about the motion of a displacement, by ``Question.key``: "spectrum" …"""
     return {q.key: q for q in QUESTIONS.values() if q.of_displacement}
 
 
@@ -129,7 +129,7 @@ def point_list(points: tuple[Array, ...]) -> Array:
 def answer_tail(
     certificate: Certificate, settings: Mapping[str, str | float | int], seconds: float
 ) -> Record:
-    """Return the last entries of the record of an answer; ``seconds`` is its computing time."""
+    """Return ``certificate`` as a record, ``settings`` and ``seconds``, which end every answer."""
     return {"certificate": certificate.record, "settings": dict(settings), "seconds": seconds}
 
 

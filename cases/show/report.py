@@ -267,7 +267,7 @@ def _number_words(name: str, row: Record) -> str:
 def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
     """Words for what is compared, empty for stationary densities, and rows of distances.
 
-    A row has ``theory``, ``observable``, ``L1``, or the largest difference of P(T > t), ``error``.
+    A row has ``theory``, ``observable``, ``error`` and ``L1`` (of P(T > t): absolute difference).
     """
     if curve["system"]["modulation"] is None:
         return "", curve["averaging"]

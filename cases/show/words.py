@@ -10,7 +10,7 @@ from fpk.system.system import System
 KEYS = re.compile(
     r"(?<![\w-])(?<!--method )(?<!--route )((?:non)?integrable|phase-space|montecarlo)(/[\w-]+)?\b"
 )
-"""Methods that have another name on the command line than for readers, and routes of them."""
+"""Pattern of keys of methods that have another name for readers, and of labels of their routes."""
 
 CONSTANT_NOISE = (
     "The noise is modulated: quantities, densities and averaging errors that are not in time are"
@@ -54,7 +54,7 @@ def with_key(method: str) -> str:
 
 
 def effects_in_words(effects: Mapping[str, Any]) -> str:
-    """Return the entry ``effects`` of ``facts_record`` in one line."""
+    """Return the entry ``effects`` of ``facts_record`` as one line of words."""
     masses, stops, rank = (effects[key] for key in ("masses", "stops", "noise_rank"))
     where = ", ".join(map(str, effects["contact_masses"]))
     parts = [

@@ -20,7 +20,7 @@ def solved(method, system, *names):
 
 
 def ask(method, question, system, *arguments, tol=None):
-    """The certified answer; the first of ``arguments`` is a mass, from 0, except for relaxation."""
+    """The certified answer of ``question``; the first argument is a mass, from 0, but for rates."""
     if question != "relaxation":
         row, *arguments = arguments
         arguments = [(Coordinate("q", row),), *arguments]
@@ -105,13 +105,13 @@ def random_system(rng, n):
 
 
 def van_der_pol(coefficient=0.1, damping=(-0.02, 0.01), noise=(8e-4, 8e-4)):
-    """c_11 += k (q1² + q2²), with a constant damping that feeds energy into mode 2."""
+    """c_11 += ``coefficient`` (q1² + q2²); the constant ``damping`` feeds energy into mode 2."""
     terms = tuple(DampingTerm(1, 1, coefficient, ((k + 1, 2),)) for k in (0, 1))
     return System([1.0, 1.0], [1.0, 1.0], damping, noise, damping_terms=terms)
 
 
 def in_masses(base, matrix, monomial, coefficient):
-    """Terms of the modal damping ``matrix`` times Q_k², k = ``monomial``, in the masses' q.
+    """Terms ``coefficient`` ``matrix`` Q_k² of modal damping, k = ``monomial``, in the masses' q.
 
     c = T⁻ᵀ c* T⁻¹ and Q_k = Σ_a T⁻¹_ka q_a: a monomial q_a q_b for every entry.
     """
@@ -126,7 +126,7 @@ def in_masses(base, matrix, monomial, coefficient):
 
 
 def by_modes(base, damping, noise, terms):
-    """The system of ``base`` with diagonal modal damping and noise, and terms."""
+    """The masses and springs of ``base`` with diagonal modal damping and noise, and ``terms``."""
     inverse = np.linalg.inv(modal_analysis(base).mode_shapes)
     c, D = (inverse.T @ np.diag(x) @ inverse for x in (damping, noise))
     return System(base.mass, base.stiffness, c, 0.5 * (D + D.T), damping_terms=tuple(terms))
@@ -150,8 +150,8 @@ def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
 
 
 def three_to_one(coefficient, *, energy=False, power=2):
-    """Two unit masses with ω2 = 3 ω1: λ and 9λ are the roots for 18λ² − 10λ + 1 = 0, k_2 = 9λ²."""
-    least = (10.0 - np.sqrt(28.0)) / 36.0
+    """Two unit masses, ω2 = 3 ω1, with damping ``coefficient`` q1^``power``, or H if ``energy``."""
+    least = (10.0 - np.sqrt(28.0)) / 36.0  # λ, 9λ are the roots for 18λ² − 10λ + 1 = 0, k_2 = 9λ²
     D = np.array([1e-3, 1e-3])
     if energy:
         terms = tuple(DampingTerm(i + 1, i + 1, coefficient, energy=1) for i in (0, 1))

@@ -77,7 +77,7 @@ def passed(
     system: System, limit: str, start: str = "rest", times: Any = (), *, method: Any = None,
     **settings: Any,
 ) -> Any:  # fmt: skip
-    """First passage by ``method``, by default ``simulation(**settings)`` of the full system."""
+    """First passage of ``limit`` from ``start`` by ``method``, else ``simulation(**settings)``."""
     end, begin = parse_limit(limit, system.n), parse_start(start, system)
     times = np.array(times, dtype=float)
     method = method or simulation(**settings)
@@ -118,7 +118,7 @@ def estimated(
 
 
 def slow_clock(monkeypatch: Any) -> None:
-    """The clock of questions goes on by 0.03 s with each look, however busy the machine is."""
+    """Let the clock of questions gain 0.03 s at each call, however busy the machine is."""
     begin, looks = working_time(), count(1)
     monkeypatch.setattr("sim.questions.rounds.working_time", lambda: begin + 0.03 * next(looks))
 

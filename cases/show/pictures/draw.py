@@ -30,7 +30,7 @@ LEFT, RIGHT, FOOT, GAP, LEGEND_ROW = 0.66, 0.12, 0.5, 0.34, 0.19
 the legend, in inches. Fixed: to measure all words first draws every picture twice."""
 
 CONTOURS = 13
-"""Contours of a joint density, from the lowest to the largest value."""
+"""Number of contour levels of a joint density, the lowest and the largest value included."""
 
 
 def column_figure(

@@ -46,7 +46,7 @@ MARKERS = {
 """SVG paths of the markers in a page by their names in matplotlib, as many as ``COLOURS``."""
 
 SHOWN = 1e-3
-"""Share of the largest density that limits the coordinates shown with a linear density axis."""
+"""Share of its largest value below which a density no longer widens the axes of a picture."""
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
