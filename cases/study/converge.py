@@ -286,7 +286,7 @@ def families(equation: Equation) -> list[Study]:
 def ladders(
     studies: Sequence[Study], name: str, *, progress: Progress = silent
 ) -> Iterator[Ladder]:
-    """Yield the measured ladder of every study; ``progress`` names the ``convergence of name``."""
+    """Yield the measured ladder of every study; ``progress`` shows "convergence of ``name``"."""
     for k, study in enumerate(studies, start=1):
         yield study.ladder()
         progress(k, len(studies), f"convergence of {name}")

@@ -84,7 +84,7 @@ class CostStudy:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Routes whose answer disagrees with the reference."""
+        """In words the routes, except baselines, whose answer disagrees with the reference."""
         return tuple(
             f"{n.route} of {n.equation} ({n.settings}) is not timed: it differs by"
             f" L1 = {n.distance:.3g}, stated is {n.allowed:.3g}"

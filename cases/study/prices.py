@@ -221,7 +221,7 @@ def _rate(
 ) -> Number:
     """Return the failure rate to ``tol`` alone: no times of the reliability, which would cost more.
 
-    Raises ``NotCertified`` for a simulation whose sample is too small.
+    Raises ``NotCertified`` for a simulation that is not certified, ``NotApplicable`` for no rate.
     """
     asked = system, question.limit, question.start, np.zeros(0)
     answer: Passage = method.passage(*asked, tol=tol, progress=progress)

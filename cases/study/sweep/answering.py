@@ -56,7 +56,7 @@ def sweep_point(
 
     @cache
     def reference(observable: Observable) -> tuple[str, AnyDensity, tuple[str, ...]]:
-        """Return label and density of the best route of the full system, and its failed checks."""
+        """Return label, density, failed checks of the full system, or raise ``NotCertified``."""
         problems: list[str] = []
         best = best_answer(deterministic("full"), system, observable, problems)
         if best is None and solver is not None:
@@ -116,7 +116,7 @@ def _values(
     answers = _answers(methods, system, list(dict.fromkeys(map(_subject, own))), ask)
 
     def read(quantity: Definition) -> tuple[Number, str, tuple[str, ...], str]:
-        """Return number, kind of its error, failed checks, and the route it is compared with."""
+        """Return number, error kind, failed checks and reference, or raise one of ``REFUSALS``."""
         if quantity not in own:
             raise NotApplicable("is no averaged theory")
         question, route = _subject(quantity)[0], ""
@@ -165,7 +165,7 @@ def _values(
 
 
 def _subject(q: Definition) -> tuple[str, str]:
-    """Return the question whose answer gives the quantity, and what it is about, by its name."""
+    """Return passage, crossings, relaxation or density, and the name of the limit or observable."""
     if q.limit is not None:
         return "passage", str(q.limit)
     questions = {UPCROSSING: "crossings", RELAXATION: "relaxation"}
