@@ -47,7 +47,7 @@ class Quantities(ABC):
 
     ``panels`` are the ascending nodes of every axis; the first and last bound the support.
     ``covariance`` and ``correlation`` raise ``InvalidInput`` for one coordinate; all others but
-    ``expectation``, ``moment`` and ``plot`` raise it for a pair.
+    ``expectation``, ``moment``, ``plot`` and the meshes raise it for a pair.
     """
 
     observable: Observable

@@ -193,9 +193,9 @@ class SampledDensity(Quantities):
 
         The error follows from the spread of the batches. If fewer visits than batches are expected,
         it is at least the error of Poisson counts. The share ``visit`` over the size of a cell is
-        added. At a kink the side with the smaller error is used. Outside the bins the density is 0,
-        with the error at the nearest point inside. Raises ``InvalidInput`` for another number of
-        arrays than axes.
+        added. It is infinite in a first bin that begins at a kink. At other kinks the side with the
+        smaller error is used. Outside the bins the density is 0, with the error at the nearest
+        point inside. Raises ``InvalidInput`` for another number of arrays than axes.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)

@@ -15,7 +15,7 @@ evaluated. The order of the drift follows from FAR and BESIDE · FAR, so close t
 with many contact masses mostly serve both."""
 
 FAR_OUT = np.logspace(4.0, 16.0, 13)
-"""Energies, in units of the scale, at which the drift must point inwards. A damping term that
+"""Energies, in units of their scale, at which the drift must point inwards. A damping term that
 exceeds another of lower degree only beyond 1e16 is less than its round-off (2e-16) at the scale."""
 MAX_ENERGY = 1e154
 """Largest energy whose square does not overflow."""

@@ -184,7 +184,8 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
     """Return the θ at which ``constant`` θ + Σ √E X² = ``noise``, means over the Gibbs state
-    without stops. X is the power c_ij v_i v_j of a damping term with θ in the place of H."""
+    without stops. X is the power c_ij v_i v_j of a damping term with θ in the place of H,
+    ``constant`` is |Σ c_ii/m_i| of constant damping, ``noise`` is Σ (f D fᵀ)_ii/m_i."""
     sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)

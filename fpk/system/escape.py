@@ -39,7 +39,7 @@ def require_held(system: System) -> None:
 
 
 def escape(system: System) -> str | None:
-    """Return in words which damping term lets the motion escape, and where; None if it returns.
+    """Return in words which damping term lets the motion escape, and where; None if none does.
 
     The motion without noise, ``M dv = −(c v + K q + g(q)) dt``, is integrated from states far out
     in which damping terms feed energy in. The sign of the power Σ c_ij v_i v_j alone decides
