@@ -36,7 +36,7 @@ def energies_at(system: System, limit: Limit) -> Array:
 
 
 def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return flags (paths,) of states ``q``, ``p`` (paths, n) at or, but for round-off, beyond."""
+    """Return flags (paths,) of states ``q``, ``p`` (paths, n) at or beyond ``limit``."""
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
@@ -127,7 +127,7 @@ CHUNK_STEPS = 256
 """Steps after which the wall time is checked; of 8192 trajectories they take 10 ms or more."""
 
 TOO_LONG = 4.0
-"""Largest step given by the user whose answer is certified, in units of the step chosen here."""
+"""Largest step set by the user whose answer is certified, in units of ``longest_step``."""
 
 
 def needs_steps(system: System) -> bool:
@@ -137,7 +137,7 @@ def needs_steps(system: System) -> bool:
 
 
 def longest_step(system: System, reach: Reach) -> float:
-    """Return the longest step for which the motion between two steps is known, for a ``reach``."""
+    """Return the longest step that resolves periods, damping, contacts and time ``reach.limit``."""
     decay = float(np.max(np.abs(np.linalg.eigvals(system.damping / system.mass))))
     amplitude = 2.0 * step_size.STEP_PER_RATE / decay if decay > 0.0 else inf
     period = 2.0 * pi / step_size.highest_frequency(system) / STEPS_PER_PERIOD

@@ -82,7 +82,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
 
 
 def noise_times(modulation: Modulation | None) -> tuple[float, float]:
-    """Return times after which noise is constant, 0 without modulation, and is 0; inf if never."""
+    """Return the times after which the noise is constant and not 0, and is 0; inf if never."""
     if modulation is None:
         return 0.0, inf
     end = float(modulation.times[-1])

@@ -286,7 +286,7 @@ def density_of_counts(
 
 
 def words_on_resolution(density: SampledDensity) -> list[str]:
-    """Return [a sentence on the first range where bins do not resolve ``density``], or []."""
+    """Return a list: a sentence on the first range in which bins do not resolve p, or nothing."""
     for box in density.unresolved:
         ends = zip(density.observable, density.edges, box.first, box.last, strict=True)
         where = ", ".join(f"{c} = {e[a]:.4g} to {e[b]:.4g}" for c, e, a, b in ends)

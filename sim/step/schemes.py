@@ -131,7 +131,7 @@ def register_scheme(scheme: Scheme) -> None:
 
 
 def euler_step(system: System, dt: float) -> LinearMap:
-    """Return Euler's rule ``x' = (1 + A h) x + σ √h z`` with the step h = ``dt``.
+    """Return Euler's rule ``x' = (1 + A h) x + σ √h z``, h = ``dt``, A and σσᵀ without contacts.
 
     Maruyama, Rend. Circ. Mat. Palermo 4, 1955, 48. Each step multiplies the energy of undamped
     vibration by ``1 + h² ω²``; there is a stationary state only for h below ``2 ζ/ω``.

@@ -99,7 +99,8 @@ class Paths(NamedTuple):
 def level_of(t: Array, x: float, elapsed: float) -> int:
     """Return the level at the share ``x`` of the limit and the ``elapsed`` share of the time.
 
-    Bilinear interpolation in the score table ``t``; x >= 1 is failure in any case.
+    It is interpolated in the score table ``t`` and rounded down, less than SCORE_LEVELS for x < 1;
+    SCORE_LEVELS, failure, for x >= 1, and 0 for NaN.
     """
     if not x < 1.0:
         return SCORE_LEVELS if x >= 1.0 else 0
