@@ -49,8 +49,12 @@ __all__ = [*_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the face when it is first used. Raises ``ImportError`` where a file or folder
-    of the user's has the name of a room."""
+    """Import and return the public object ``name``, and store it in this module for later uses.
+
+    Raises ``AttributeError`` if ``name`` is not in ``__all__``, and ``ImportError`` for a name from
+    ``cases`` if one of the packages of vibro-fpk is missing, or a file or folder of the user hides
+    it.
+    """
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'fpk' has no attribute {name!r}; it has {', '.join(__all__)}")
     beside = Path(__file__).resolve().parent.parent

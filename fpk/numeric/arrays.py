@@ -16,9 +16,9 @@ or an eigenvalue counts as zero below this share of its largest term."""
 SMALLEST = float(np.finfo(float).tiny)
 """Smallest normal double, 2.2e-308: smaller numbers lose relative accuracy."""
 LARGEST_LOG = 700.0
-"""Largest exponent: e^700 = 1e304 leaves some decades to the largest double, 1.8e308."""
+"""Largest x of which e^x is computed: 1e304 leaves some decades to the largest double, 1.8e308."""
 ROUNDINGS = 8.0
-"""Stated round-off of a sum whose terms cancel, in units of ``EPS`` times each term."""
+"""Stated round-off of a sum with cancelling terms, over ``EPS`` times the sum of their sizes."""
 BLOCK_SIZE = 4_000_000
 """Largest number of entries of an intermediate array: 32 MB of doubles."""
 DEPTH = 40.0

@@ -75,7 +75,8 @@ class CheckedFiles(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether the cache file ``path`` is intact or absent; if damaged, remove it with a warning."""
+    """Return whether the file ``path`` ends with the SHA-256 of the content before, or is absent.
+    Warn and try to remove the file if not, or if it cannot be read."""
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -95,8 +96,10 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
     """Return ``compile_for``, a function of a signature, wrapped to run in a thread of its own.
 
     LLVM ignores signals for many seconds, while a thread that waits for another receives them. The
-    returned function raises ``KeyboardInterrupt`` if ``abandon`` is called meanwhile, and as long
-    as an abandoned function is still being compiled: numba compiles one function at a time.
+    wrapped function waits for the thread, with the clock ``working_time`` stopped, and returns or
+    raises what ``compile_for`` does. It raises ``KeyboardInterrupt`` if ``abandon`` is called
+    meanwhile, and as long as an abandoned function is still being compiled: numba compiles one
+    function at a time.
     """
 
     def compiled(signature: Any) -> Any:
@@ -138,9 +141,12 @@ def abandon() -> None:
 
 
 def cached_njit(sources: int = 0) -> Callable[[Function], Function]:
-    """Return a decorator that compiles a function at its first call, with a disk cache for each
-    ``checksum`` of ``sources``: numba watches the function's own file only. Without a writable
-    folder the function is compiled again in every process."""
+    """Return a decorator by which numba compiles a function at its first call, with a disk cache.
+
+    ``sources`` is the ``checksum`` of all files whose code is compiled with the function; 0 if that
+    is its own file only, which numba watches. Another checksum has another cache file. Without a
+    writable folder the function is compiled again in every process.
+    """
 
     def decorated(function: Function) -> Function:
         compiled = _njit(fastmath=FLAGS, error_model="numpy", nogil=True)(function)
@@ -171,6 +177,6 @@ def njit_inline(function: Function) -> Function:
 
 
 def checksum(files: Sequence[Path]) -> int:
-    """Return the CRC-32 of the source ``files``; a compiled function that closes over it and
-    returns it is recompiled when any of them is edited: numba watches its own file only."""
+    """Return the CRC-32 of the contents of ``files``, joined in the given order. A function that
+    closes over it or is decorated by ``cached_njit`` with it is compiled again after an edit."""
     return crc32(b"".join(file.read_bytes() for file in files))

@@ -23,7 +23,8 @@ def usable_cores() -> int:
 
 
 def working_time() -> float:
-    """Return wall time in seconds from an arbitrary zero, less times in ``pause_working_time``."""
+    """Return wall time in seconds from an arbitrary zero, without the times during which any thread
+    was within ``pause_working_time``."""
     with _lock:
         now = perf_counter()
         return now - _left_out - (now - _begun if _within else 0.0)
@@ -31,7 +32,8 @@ def working_time() -> float:
 
 @contextmanager
 def pause_working_time() -> Iterator[None]:
-    """Stop the clock ``working_time`` in a context that compiles or loads compiled code."""
+    """Stop the clock ``working_time`` of the process within the context, which compiles or loads
+    compiled code. Contexts may overlap and be nested."""
     global _within, _begun, _left_out  # one clock for all threads
     with _lock:
         _begun = _begun if _within else perf_counter()
@@ -46,11 +48,12 @@ def pause_working_time() -> Iterator[None]:
 
 @contextmanager
 def lock_file(path: Path, *, needed: bool = True) -> Iterator[None]:
-    """Hold an exclusive lock on the file ``path`` in a context; create the file if it is missing.
+    """Lock the file ``path`` exclusively within the context; create the file if it is missing.
 
     The operating system releases the lock when the process ends, killed or not. The empty file
-    stays, as another process could lock a file that is being removed. Raises ``Unavailable`` if
-    another process or thread holds the lock, or if it is ``needed`` and the file system has none.
+    stays, as another process could lock a file that is being removed. Raises ``Unavailable``, at
+    once, if another process or thread has locked the file, or if it cannot be opened. If the file
+    system supports no locks, raises it too if ``needed``, or else continues without a lock.
     """
     words = f"{path}: cannot be locked"
     try:

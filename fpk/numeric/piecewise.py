@@ -22,8 +22,11 @@ five e-folds."""
 
 
 def panels_at(nodes: Array, x: Array) -> tuple[Integers, Array, Flags]:
-    """Return the panel of each point ``x``, its local coordinate from −1 to 1, and whether it lies
-    between the first and last of the ascending ``nodes``; points outside get the nearest end."""
+    """Return 0-based panels, local coordinates from −1 to 1, and which points lie in the nodes.
+
+    ``x`` are the points, (points,), the ``nodes`` ascend, and their ends count as inside. A node
+    belongs to the panel on its right; a point outside gets panel and coordinate of the nearest end.
+    """
     k = np.searchsorted(nodes[1:-1], x, side="right")
     left, right = nodes[k], nodes[k + 1]
     t = np.clip((2.0 * x - left - right) / (right - left), -1.0, 1.0)
@@ -72,7 +75,10 @@ class Piecewise:
     error: Array | None = None
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
-        """Return f(x) exp(``log_factor``) at ``x`` of any shape; ``log_factor``: 0 or as ``x``."""
+        """Return f(x) exp(``log_factor``) at ``x`` of any shape: that shape, then that of a value.
+
+        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is not multiplied by it.
+        """
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
@@ -85,7 +91,8 @@ class Piecewise:
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
-        """Return the continuous ∫f from the first node; f must have no ``log_scale``."""
+        """Return ∫f from the first node to x as a function of x, ``outside`` beyond the nodes.
+        Raises ``AssertionError`` if f has a ``log_scale``."""
         assert self.log_scale is None, "panels with scales have no common antiderivative"
         within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
         within *= 0.5 * np.diff(self.nodes).reshape(-1, *(1,) * (within.ndim - 1))
@@ -105,11 +112,12 @@ def fit(
 ) -> Piecewise:
     """Return the interpolant of ``f`` by polynomials of ``degree`` on panels between ``nodes``.
 
-    ``f`` maps points (points,) to values (points, ...) and is called once for all new panels. A
-    panel whose error exceeds ``tol`` is split at ``cut(left, right)``, by default at its middle,
-    at most ``rounds`` times (2^−60 of a length is below round-off); ``Piecewise.error`` states the
-    error reached. The error is ``estimate(lengths, coefficients)``, by default ``degree`` times the
-    sum of the last two coefficients, of the largest component of a value.
+    ``f`` maps points (points,) to values (points, ...) and is called once in each round, for all
+    new panels. A panel whose absolute error exceeds ``tol`` is split at ``cut(left, right)``, by
+    default at its middle, in at most ``rounds`` rounds (2^−60 of a length is below round-off);
+    ``Piecewise.error`` states the error reached, which may exceed ``tol``. The error (panels,) is
+    ``estimate(lengths, coefficients)``, by default ``degree`` times the sum of the sizes of the
+    last two coefficients, of the largest component of a value.
     """
     middle = cut or (lambda left, right: 0.5 * (left + right))
 
@@ -150,7 +158,8 @@ def legendre_coefficients(
 
 
 def projection(degree: int) -> Array:
-    """Return the matrix from values at ``degree`` + 1 Gauss points to Legendre coefficients."""
+    """Return the square matrix that maps values at the ``degree`` + 1 Gauss points on [−1, 1] to
+    the Legendre coefficients of their interpolant."""
     t, w = gauss_legendre(degree + 1)
     weighted = legendre.legvander(t, degree).T * w
     return np.asarray((np.arange(degree + 1.0) + 0.5)[:, None] * weighted)
@@ -168,7 +177,8 @@ class PiecewiseTensor:
     coefficients: Array
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return f at ``x``, ``y`` that broadcast; axes (m, 1), (n,) of a grid take less work."""
+        """Return f at ``x``, ``y``, in the shape to which they broadcast; the axes (m, 1) and (n,)
+        of a grid take less work."""
         a, b = np.asarray(x, float), np.asarray(y, float)
         if a.ndim == 2 and a.shape[1] == 1 and b.ndim <= 2 and b.shape[-1:] == (b.size,):
             return self.on_grid(a.ravel(), b.ravel())
@@ -196,7 +206,8 @@ class PiecewiseTensor:
         return np.asarray(rows[0] @ matrix @ rows[1].T)
 
     def _at(self, axis: int, x: Array) -> tuple[Integers, Array]:
-        """Panels of the points ``x`` along ``axis``, and P_j there (points, degree + 1), else 0."""
+        """Panels of the points ``x`` along ``axis``, and P_j there (points, degree + 1); P_j is 0
+        at a point outside the nodes."""
         k, t, inside = panels_at(self.nodes[axis], x)
         P = np.asarray(legendre.legvander(t, self.coefficients.shape[2 + axis] - 1), float)
         return k, P * inside[:, None]

@@ -15,7 +15,8 @@ At a kink within a panel one coarser rule may agree with it by chance, two hardl
 
 @lru_cache
 def gauss_legendre(points: int) -> tuple[Array, Array]:
-    """Return Gauss nodes and weights on [−1, 1], exact for the degree 2 ``points`` − 1."""
+    """Return Gauss nodes and weights on [−1, 1], exact up to the degree 2 ``points`` − 1. The
+    arrays (``points``,) are read-only: later calls return the same arrays."""
     x, w = np.polynomial.legendre.leggauss(points)
     x.setflags(write=False)
     w.setflags(write=False)
@@ -36,7 +37,8 @@ def gauss_grid(
     """Return the sparse mesh of the Gauss points of ``panels``, and each axis's points and weights.
 
     ``panels`` are the ascending nodes of each axis; ``points`` is the number of Gauss points on a
-    panel of an axis, by default from the last of ``GAUSS_RULES``.
+    panel of an axis, by default the last of ``GAUSS_RULES``. The mesh has for each axis an array
+    that broadcasts; points and weights are (panels · ``points``,).
     """
     rules = [panel_rule(nodes, points or GAUSS_RULES[len(panels)][-1]) for nodes in panels]
     grids = [(x.ravel(), w.ravel()) for x, w in rules]
@@ -44,7 +46,8 @@ def gauss_grid(
 
 
 def integral(values: Array, grids: list[tuple[Array, Array]]) -> float:
-    """Return the integral of ``values`` on the mesh of the ``grids`` of ``gauss_grid``."""
+    """Return the integral of a function with ``values`` at the Gauss points of ``grids``, which are
+    the second result of ``gauss_grid``; ``values`` broadcast to an axis for each of them."""
     total = np.broadcast_to(values, tuple(w.size for _, w in grids))
     for _, w in reversed(grids):
         total = total @ w

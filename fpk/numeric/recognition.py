@@ -1,8 +1,7 @@
 """Fingerprints of settings, by which stored results are recognised.
 
 A fingerprint contains every field of a record, so that a new field is compared, too. Fields that
-cannot change a result are excluded by name, ``less``, as "MonteCarlo.threads"; each such list gives
-the reasons beside the names.
+cannot change a result are excluded by name, ``less``, as "MonteCarlo.threads".
 """
 
 import json
@@ -39,7 +38,8 @@ def canonical(value: Any, less: Container[str] = ()) -> Any:
 
 
 def _json_value(less: Container[str], value: Any) -> Any:
-    """Return a JSON value for a ``value`` that JSON lacks; its parts may be such values again."""
+    """Return data for a ``value`` that JSON lacks; its parts may be such values again. Raises
+    ``InvalidInput`` for an object of an unknown kind. For ``less`` see ``canonical``."""
     value = getattr(value, "py_func", value)  # the Python source of a compiled function
     if is_dataclass(value) and not isinstance(value, type):
         kind, own = type(value), {}

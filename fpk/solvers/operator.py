@@ -1,8 +1,7 @@
 """The FPK equation of one or two energies in scikit-fem, with the weak form as it is on paper.
 
-``solve_by_scikit_fem`` gives the stationary density on uniformly refined meshes. The fast solvers
-of ``fpk.solvers.line`` and ``fpk.solvers.plane`` assemble the same equation one element and one
-direction at a time; their error estimates and certificates serve here, too.
+``solve_by_scikit_fem`` gives the stationary density on uniformly refined meshes. Error estimates
+and certificates are from the fast solvers, ``fpk.solvers.line`` and ``fpk.solvers.plane``.
 """
 
 from collections.abc import Mapping
@@ -41,8 +40,8 @@ def flux(u: Any, w: Mapping[str, Array]) -> Any:
 
 
 def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
-    """Return elements of ``degree`` between ``nodes``, one array per axis. There are ``points``
-    Gauss points in an element along each axis."""
+    """Return the scikit-fem basis of elements of ``degree`` between ascending ``nodes``, one array
+    for each axis, one or two. An element has ``points`` Gauss points along each axis."""
     t, w = gauss_legendre(points)
     t, w = 0.5 * (1.0 + t), 0.5 * w
     if len(nodes) == 1:
@@ -57,8 +56,12 @@ def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
 def coefficients(
     process: Process, basis: Basis, *, flux_form: bool
 ) -> tuple[dict[str, Array], Array]:
-    """Return F, b and T of ``flux`` at the points of ``basis``, and ln of the unit of T by element.
-    In the flux form, for one energy only, p = T u; otherwise p = u."""
+    """Return the fields of ``flux`` at the points of ``basis``, and ln of the unit of T.
+
+    "F" is (d, elements, points), "b" (d, d, elements, points), and "states" (elements, points) is T
+    in the unit: its largest value in each element, with ln (elements,). In the flux form, for one
+    energy only, p = T u; otherwise p = u and T = 1.
+    """
     x = np.asarray(basis.global_coordinates())
     d, shape = len(x), basis.dx.shape
     energies = x.reshape(d, -1).T
@@ -81,8 +84,9 @@ def stationary_vector(
 ) -> tuple[Array, Array, float]:
     """Return y and ln s of the solution u = y/s of ∫ J(u) · ∇v = 0, and its relative residual.
 
-    s (unknowns,) is the largest T in the elements of each unknown, so that y is of the size of p.
-    Zero flux is natural at all ends. Raises ``NotCertified`` if the solution is not unique.
+    y and s are (unknowns,). s is the largest T in the elements of each unknown, so that y is of the
+    size of p; the factor of y is arbitrary. For ``flux_form`` see ``coefficients``. Zero flux is
+    natural at all ends. Raises ``NotCertified`` if the solution is not unique.
     """
     w, unit = coefficients(process, basis, flux_form=flux_form)
     fields, dx = [u for (u,) in basis.basis], basis.dx
@@ -102,8 +106,11 @@ def stationary_vector(
 
 
 def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tuple[Array, float]:
-    """Return Legendre series (elements, ``degree`` + 1) of u with mean 1 in each, and a residual.
-    The mesh has the ``nodes``; ``points`` is the number of Gauss points of an element."""
+    """Return u = p/T of one energy, scaled to mean 1 in each element, and the relative residual.
+
+    u are Legendre coefficients (elements, ``degree`` + 1) between ``nodes``; ``points`` is the
+    number of Gauss points of an element. The residual is the residual of the global equations.
+    """
     basis = element_basis((nodes,), degree, points)
     y, log_scale, residual = stationary_vector(process, basis, flux_form=True)
     own = log_scale[basis.element_dofs]
@@ -117,7 +124,7 @@ def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tu
 def plane_null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight | None = None
 ) -> tuple[PiecewiseTensor, float]:
-    """Return the unscaled p of two energies on a tensor mesh, and its relative residual.
+    """Return p of two energies up to a factor on a tensor mesh, and its relative residual.
 
     Elements of ``degree`` between ``nodes`` have ``points`` Gauss points along each axis; the
     ``weight`` is not used.
@@ -138,10 +145,10 @@ def solve_by_scikit_fem(
     """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
 
     Meshes are refined until the answer is certified or matrices would be too large. For one energy
-    the first mesh is the one of the fast solver, and all its elements are halved. For two energies
-    the first mesh is equidistant in √H; for ``marked`` see ``solve_by_elements``.
-
-    Raises ``NotCertified`` if no stationary density exists.
+    the first mesh is the mesh of the fast solver, and all its elements are halved. For two energies
+    it is equidistant in √H; for ``marked`` see ``solve_by_elements``. An answer that misses the
+    tolerance is returned with a failed certificate. Raises ``NotCertified`` if no stationary
+    density exists.
     """
     if process.dimension == 2:
         require_confined(process)

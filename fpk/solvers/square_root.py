@@ -30,33 +30,35 @@ from fpk.solvers.line.time.resolvent import contours
 from fpk.system.modulation import Modulation, require_constant_noise
 
 CANCELLED = 1e3
-"""Relative error of a transform, in units of EPS, above which it is computed in another way."""
+"""Relative error, over EPS, above which E e^(−sT) is computed by ``log_kummer_ratio``, too."""
 STEEPEST, NEGLIGIBLE = 1e5, 1e-20
-"""Largest s x_f/c of Chernoff's bound, where 1F1 ~ e^(2 √(s x_f/c)); bound below which P(T <= t) is
-taken as 0."""
+"""Largest s x_f/c of Chernoff's bound e^(st) E e^(−sT), x_f = c H_f/d for the limit H_f, as
+1F1 ~ e^(2 √(s x_f/c)); bound below which P(T <= t) is returned as 0."""
 CLOSE_STARTS = (0.02, 40.0)
-"""Smallest x_0/x_f and largest x_f − x_0 of starts with early failures, for which the series of 1F1
-cancels and ``log_kummer_ratio`` is used."""
+"""Smallest x_0/x_f and largest x_f − x_0, x = c H/d at the start and at the limit, at which
+``log_kummer_ratio`` is used if the series of 1F1 cancels: failures may be early."""
 
 MOST_TERMS = 20_000
 """Largest number of terms of a series of 1F1 or of a continued fraction."""
 BESSEL = 50.0
-"""Relative error of SciPy's ``ive`` and of the power series beside it, in units of EPS."""
+"""Relative error of the Bessel function in ``noncentral``, by ``ive`` or a series, over EPS."""
 SERIES_RANGE = 60.0
-"""Largest x y at which 40 powers give the Bessel function: 60^41/41!² is 1e-26."""
+"""Largest x y at which 40 powers of x y give I_(n−1)(2 √(xy)): 60^41/41!² is 1e-26."""
 LEAST_SIZE = 4.0
 """Smallest |a| of ``log_kummer_ratio``: for smaller negative a, near the relaxation rates, 1F1 has
 zeros close to the real axis of x."""
 RATIO_PANELS, RATIO_POINTS = (1.5, 2.0), 14
-"""Largest ratio and difference of both ends of a panel of x; Gauss points of a panel."""
+"""Largest ratio and difference of both ends of a panel of x in ``log_kummer_ratio``; Gauss points
+of a panel."""
 
 
 @dataclass(frozen=True)
 class SquareRoot:
-    """Square-root process of shape ``n``, damping ``c`` (1/time), noise ``d``: temperature θ = d/c.
+    """Process dH = (n d − c H) dt + √(2 d H) dB: shape ``n``, damping ``c``, noise ``d`` = c θ.
 
-    ``relative_error`` is the error of c and of d, which all stated errors include. ``modulation``
-    e(t) multiplies d by e²; densities keep their form, with θ_t = ∫d e(s)² e^(−c(t−s)) ds.
+    θ is the temperature; c is in 1/time, d in energy/time. ``relative_error`` is the error of c and
+    of d, which all stated errors include. ``modulation`` e(t) multiplies d by e²; densities keep
+    their form, with θ_t = ∫d e(s)² e^(−c(t−s)) ds from 0 to t.
     """
 
     n: int
@@ -77,7 +79,8 @@ class SquareRoot:
         """Return the densities at ``times`` and energies ``at``, certified to the L1 ``tol``.
 
         From the energy ``start`` (``noise`` None) H is θ_t/2 times a noncentral χ² of 2n degrees.
-        From the stationary state under ``noise`` times d it has a gamma density.
+        From the stationary state under ``noise`` times d it has a gamma density; ``start`` is 0.
+        Raises ``InvalidInput`` if no noise has acted before one of the times.
         """
         each = times.tolist()
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
@@ -86,8 +89,8 @@ class SquareRoot:
         return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
-        """Return the density at time ``t``, energies ``H`` of any shape, and its error. For
-        ``start`` and ``noise`` see ``transient``."""
+        """Return the density at time ``t`` and energies ``H`` of any shape, and its absolute error,
+        of the same shape; both are 0 for H < 0. For ``start`` and ``noise`` see ``transient``."""
         theta, left = self.scales(start, noise, t)
         x, y = np.maximum(H, 0.0) / theta, left / theta
         log_p, log_error = noncentral(self.n, x, y)
@@ -97,8 +100,8 @@ class SquareRoot:
         return p, np.where(H >= 0.0, p * log_error + SMALLEST, 0.0)
 
     def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
-        """Return L1 error, |mass − 1| and −min p/max p at time ``t``, by quadrature. For ``start``
-        and ``noise`` see ``transient``."""
+        """Return the L1 error of ``density`` at time ``t``, |∫p − 1| and −min p/max p, by
+        quadrature. For ``start`` and ``noise`` see ``transient``."""
         theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
         # Beyond the mean p falls by e in each standard deviation at least.
@@ -127,7 +130,8 @@ class SquareRoot:
         """Return the first passage of ``limit`` from a ``start`` below it, P(T <= t) at ``times``.
 
         E e^(−sT) = 1F1(s/c; n; x_0)/1F1(s/c; n; x_f), x = c H/d; moments are its derivatives at 0.
-        For ``tol`` see ``certify_passage``. Raises as ``rate`` and ``failure`` do.
+        ``limit`` and ``start`` are energies; for ``tol`` see ``certify_passage``. Raises as
+        ``rate`` and ``failure`` do, and ``NotApplicable`` for modulated noise.
         """
         require_constant_noise(self.modulation)
         rate, xf = self.rate(limit), limit * self.c / self.d
@@ -160,8 +164,8 @@ class SquareRoot:
         )
 
     def rate(self, limit: float) -> Number:
-        """Return the failure rate, c times the smallest a with 1F1(−a; n; x_f) = 0. x_f is c
-        ``limit``/d. Raises ``InvalidInput`` if the mean time is beyond double precision."""
+        """Return the failure rate, c times the smallest a > 0 with 1F1(−a; n; c ``limit``/d) = 0.
+        Raises ``InvalidInput`` if the mean time is beyond double precision."""
         xf = limit * self.c / self.d
         if not xf <= LARGEST_LOG:  # the mean time is about e^xf/c
             raise InvalidInput("limit", limit, BEYOND_RANGE)
@@ -237,15 +241,16 @@ class SquareRoot:
         return ratio, relative
 
     def _lost(self, xf: float) -> float:
-        """Relative error, by the errors of c and d, of mean times and rates ~ e^(±``xf``)."""
+        """Relative error of mean times ~ e^``xf`` and rates ~ e^−``xf`` by the errors of c and d;
+        ``xf`` is c H_f/d for the limit H_f."""
         return (3.0 + 2.0 * xf) * self.relative_error
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
-    """Return ln p and its error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)), ``n`` >= 1.
+    """Return ln p and its absolute error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)).
 
-    p is the density of half a noncentral χ² of 2n degrees and noncentrality 2 ``y`` at ``x``, of
-    any shape.
+    p is the density of half a noncentral χ² of 2n degrees, ``n`` >= 1, and noncentrality 2 ``y`` at
+    ``x`` >= 0, of any shape.
     """
     few, root, other = x * y < SERIES_RANGE, np.sqrt(x), sqrt(y)
     # Σ (x y)^k/(k! (n)_k), of positive terms.
@@ -270,8 +275,8 @@ def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
 
 
 def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
-    """Return 1F1(``a``; ``n``; ``x`` >= 0) at ``a`` (points,), and its error. The error is inf if
-    the series needs more than ``MOST_TERMS`` terms."""
+    """Return 1F1(``a``; ``n``; ``x`` >= 0) at ``a`` (points,), and its absolute error, which is inf
+    if the series needs more than ``MOST_TERMS`` terms or overflows."""
     term, total = np.ones_like(a), np.ones_like(a)
     size = np.ones(a.size)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -287,11 +292,11 @@ def kummer(a: Complexes, n: int, x: float) -> tuple[Complexes, Array]:
 
 
 def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Complexes, Array]:
-    """Return ln 1F1(a; ``n``; ``low``)/1F1(a; n; ``high``) at ``a`` (points,), and its error.
+    """Return ln(1F1(a; ``n``; ``low``)/1F1(a; n; ``high``)) at ``a`` (points,), and its error.
 
     0 < low < high. It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which
-    nothing cancels for a away from the negative axis. The error is inf for |a| < ``LEAST_SIZE``
-    and if more than ``MOST_TERMS`` terms are needed.
+    nothing cancels for a away from the negative axis. The absolute error is inf for |a| <
+    ``LEAST_SIZE`` and if more than ``MOST_TERMS`` terms are needed.
     """
     nodes = [low]
     while nodes[-1] < high:  # zeros of 1F1 have angles above a radian, or imaginary parts of π

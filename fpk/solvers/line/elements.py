@@ -4,15 +4,13 @@ Zero flux makes the one-dimensional stationary problem local. The Galerkin equat
 ``∫ J(u) v' dH = 0`` for all continuous piecewise polynomials v of degree p say that the flux J is
 orthogonal, element by element, to all polynomials of degree p − 1, which are the derivatives v'. So
 static condensation is exact: every element has a one-dimensional null space of its own, and the
-global solution consists of these null vectors, scaled to match at the vertices. As nothing else has
-to match, Legendre polynomials serve as basis.
+global solution consists of these null vectors, scaled to match at the vertices.
 
 u = p/T is the phase-space density, and J = T (F u − ½ b u') with F the part of the drift due to
 damping; the noise part of the drift, ½ (bT)'/T, has cancelled, so that no derivative of b is
 needed, and u is smooth where T is not. The exact solution has J = 0 at every point, so that the
-Galerkin equations may use any quadrature points. Integrals of p need special points: above an
-energy where contact begins T has half-integer powers, and the element that begins there has points
-of its own.
+Galerkin equations may use any quadrature points. Integrals of p need special points above an energy
+where contact begins, as T has half-integer powers there.
 """
 
 from collections.abc import Callable
@@ -27,25 +25,26 @@ from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 ENRICHMENT = 2
-"""Degree of the enriched solution, whose distance estimates the error, above that of the answer."""
+"""Degree of the enriched solution minus degree of the answer; their distance gives the error."""
 ELEMENT_POINTS = 4
-"""Gauss points of an element above its degree; twice as many if T ~ H^(n−1) is steep, n > 2. Fewer
-there give answer and enriched solution a common error (n from 7 to 40: up to four times their
-distance). More elsewhere hide the error by a root of H in T from their distance: for a stop that
-touches at rest the error was 8 times the stated error."""
+"""Gauss points of an element, less its degree; twice this number if T ~ H^(n−1) is steep, n > 2.
+Fewer points there give answer and enriched solution a common error (n from 7 to 40: up to four
+times their distance). More points elsewhere hide the error by a root of H in T from their distance:
+for a stop that touches at rest the error was 8 times the stated error."""
 CONTACT_POINTS = 10
-"""Gauss points above the degree, for an element that begins at a contact energy."""
+"""Gauss points of an element that begins at a contact energy, less its degree."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
-"""Solver of (process, nodes, degree, Gauss points) for Legendre series of u and a residual."""
+"""Function of (process, nodes, degree, Gauss points of an element) that returns the Legendre series
+(elements, degree + 1) of u = p/T, of mean 1 in each element, and a relative residual."""
 
 
 class Rule(NamedTuple):
-    """Quadrature points of an element in [0, 1], and the Legendre polynomials P_j there.
+    """Quadrature points t of an element, from 0 to 1 over it, and the Legendre polynomials P_j.
 
-    ``P`` (degree + 3, points) are values at the Gauss points ``share`` with ``weight``, ``tested``
-    (2 · points, tests · (degree + 3)) are values and derivatives times the degree + 2 test
-    functions. ``enriched_weight`` is the interpolatory rule without the middle point: its distance
-    from the Gauss rule exceeds the error of the latter.
+    ``share`` are Gauss points with the ``weight``, of sum 1; ``P`` (degree + 3, points) are the
+    values there, ``tested`` (2 · points, (degree + 2) · (degree + 3)) the products P_i P_j and then
+    P_i dP_j/dt of test functions i and terms j. ``enriched_weight`` is the interpolatory rule
+    without the middle point: its distance from the Gauss rule exceeds the error of the latter.
 
     ``contact_…`` are Gauss points in (H − H_c)^⅓ of an element that begins at a contact energy H_c:
     first the rule for the mass of the answer, then a rule of twice as many points for the enriched
@@ -66,7 +65,7 @@ class Rule(NamedTuple):
 
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
-    """Return the points of elements of ``degree`` for T ~ H^(n−1), n = ``degrees_of_freedom``."""
+    """Return the points of elements of ``degree``; more for n = ``degrees_of_freedom`` > 2."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)
@@ -93,14 +92,15 @@ def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
 
 
 class Elements(NamedTuple):
-    """Solutions on single elements, each scaled to mass 1; every array is (elements, …).
+    """Solutions on single elements, each scaled to mass 1; the other arrays are (elements,).
 
     ``u`` (elements, degree + 1) and ``enriched`` (elements, degree + 3) are Legendre series of
-    p e^(−log_factor)/T; ``values`` and ``enriched_values`` are p at the points ``x`` with
-    ``weights``. ``residual`` of the equations is relative to their terms; ``net_flux`` is the mean
-    of J and ``one_way`` the sum of the sizes of its terms. ``coefficient_error`` is the largest
-    relative error of the coefficients, ``slope_error`` the resulting error of ln p from one end of
-    the element to the other.
+    p e^log_factor/T, ``log_factor`` the largest ln T at the Gauss points. ``values`` and
+    ``enriched_values`` are p at the energies ``x`` with ``weights``, (elements, points) each. The
+    ``residual`` of the equations is relative to their terms; ``net_flux`` is |mean of J| and
+    ``one_way`` the sum of the sizes of its terms. ``coefficient_error`` is the largest relative
+    error of the coefficients, ``slope_error`` the resulting error of ln p from one end of the
+    element to the other.
     """
 
     coefficient_error: Array
@@ -120,8 +120,8 @@ class Elements(NamedTuple):
 def solve_elements(
     process: Process, nodes: Array, degree: int, null_vectors: NullVectors | None = None
 ) -> Elements:
-    """Solve on each element between ``nodes``, in ``degree`` and in ``degree`` + ``ENRICHMENT``.
-    ``null_vectors``, if given, is used in place of elimination in each element."""
+    """Return the solutions in ``degree`` and ``degree`` + ``ENRICHMENT`` on the elements between
+    ascending ``nodes``. ``null_vectors``, if given, replaces elimination in each element."""
     rule, left, h = element_rule(degree, process.degrees_of_freedom), nodes[:-1], np.diff(nodes)
     contact, h = np.flatnonzero([H in process.nonsmooth for H in left.tolist()]), h[:, None]
     x, points = left[:, None] + h * rule.share, rule.share.size
@@ -187,8 +187,11 @@ def solve_elements(
 
 
 def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Relative residual of ``A`` ``u`` = 0; residual and size of terms of its first equation. ``A``
-    is (elements, equations, terms) and ``u`` (elements, terms)."""
+    """Relative residuals of ``A`` ``u`` = 0, and |Σ terms| and Σ |terms| of its first equation.
+
+    ``A`` is (elements, equations, columns), ``u`` (elements, m): the first m − 1 equations and m
+    columns count. The residual is the largest |Σ terms| over the largest Σ |terms|, (elements,).
+    """
     # All terms are zero if an element is so short that the damping in it underflows.
     terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
     residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)

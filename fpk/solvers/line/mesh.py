@@ -1,8 +1,7 @@
 """Probe of a process of one energy, which finds where its density lies, and meshes based on it.
 
-A process is probed before there is any mesh, from far below to far above its energy scale. Over an
-element of the mesh ln(p/T) then falls by a few units (nats); geometric layers lie where smoothness
-is lost, and short elements where a motion starts or ends.
+A process is probed from far below to far above its energy scale. Over an element ln(p/T) falls by a
+few units; geometric layers lie where smoothness is lost, short elements where a motion starts.
 """
 
 import math
@@ -27,28 +26,30 @@ its maximum: ln(p H) rises above its chord by at most an eighth of it."""
 PROBE_DEPTH = 100.0
 """Depth in ln(p H) below its maximum down to which a probe resolves p: 4e-44 of the mass."""
 ELEMENT_FALL = 3.0
-"""Fall of ln(p/T) over one element: degree 10 approximates exp(−3 t) to 1e-11."""
+"""Default fall of ln(p/T) over an element: degree 10 approximates exp(−3 t) to 1e-11."""
 SMOOTH_FALL = 4.0
 """Fall n of ln(p/T) over one element if ln(p/T) is linear in H. A polynomial of degree p has the
 error n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−x) (Chebyshev), 1e-1 to 1e-2 of a tolerance
 whose number of digits is p − 4."""
 CONTACT_GROWTH = 20.0
-"""Largest ratio of both ends of an element that begins at a contact energy."""
+"""Largest upper end of an element that begins at a contact energy H_c, over H_c."""
 GRADING = 0.15
 """Ratio of the lengths of neighbouring elements towards an energy where smoothness is lost."""
 GRADED_LAYERS = 5
-"""Default number of layers above such an energy: down to 8e-5 of the next element."""
+"""Default number of layers from an energy where smoothness is lost to the next node: they divide
+this distance down to 8e-5 of it."""
 DEEP_LAYERS = 14
-"""Layers down to 3e-12 of the next element: T has such layers at stiff stops and small gaps."""
+"""Number of layers for integrals above a contact energy, down to 3e-12 of the distance to the next
+node: T varies within such layers at stiff stops and small clearances."""
 MAX_ELEMENT_DEGREE = 16
 """Highest degree of elements in time."""
 LENGTH_RATIO = 1.6
 """Ratio of the lengths of neighbouring elements away from a start or a limit."""
 NODE_DISTANCE = 1e-3
-"""Length of an element, relative to its neighbours, below which one of its nodes is dropped."""
+"""Length of an element, over its longer neighbour, below which one of its nodes is dropped."""
 LAYER = 0.5
-"""Length of the elements at a start or a limit, in units of √(b t), t the first time; at a start in
-units of ½ b' t if that is longer."""
+"""Length of the elements at a start or a limit, in units of √(b t), b the diffusion σ² there and t
+the first output time; at a start in units of ½ b' t if that is longer."""
 FAST = 20.0
 """Largest |z| t of Laplace variables z that contribute to a density at the time t."""
 LARGEST_VALUE = 100.0
@@ -57,7 +58,8 @@ LARGEST_VALUE = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """``slope`` d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ascending ``energy``, (points,)."""
+    """``slope`` d ln p/dH and ``roughness`` |d ln(p/T)/dH| at ascending ``energy``, (points,): p is
+    the stationary density, T the density of states."""
 
     energy: Array
     slope: Array
@@ -75,8 +77,8 @@ class Probe:
         return np.append(0.0, steps.cumsum())
 
     def extent(self, tail: float) -> float:
-        """Return the energy beyond the maximum at which p H has fallen to ``tail`` of its maximum.
-        Raises ``NotCertified`` if p H does not fall so far, or coefficients overflow."""
+        """Return the energy above which p H stays below ``tail`` times its maximum. Raises
+        ``NotCertified`` if p H does not fall so far, or coefficients overflow."""
         if not np.isfinite(self.log_mass).all():
             raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, self.rate
@@ -93,8 +95,8 @@ class Probe:
         return float(energy[i - 1] * math.exp(min(2.0 * fall / (root - rate[i - 1]), length)))
 
     def tail_bound(self, end: float, density_at_end: float) -> float:
-        """Return a bound of the mass above ``end``, where p = ``density_at_end``; inf if p rises.
-        Between two energies of the probe p falls at the smaller of both rates."""
+        """Return a bound of the mass above the energy ``end``, at which p = ``density_at_end``; inf
+        if p rises at the last energy. Between two energies p falls at the smaller of both rates."""
         first = int(np.searchsorted(self.energy, end, side="right"))
         rate = -np.append(np.interp(end, self.energy, self.slope), self.slope[first:])
         least = np.minimum(rate[:-1], rate[1:])
@@ -207,7 +209,8 @@ def first_degree(degree: int, n: int) -> int:
 
 
 def layer_at(process: Process, limit: float, time: float) -> tuple[float, float]:
-    """Return ``limit`` and the length of elements there, ~ √(b ``time``) but above round-off."""
+    """Return ``limit`` and the length of elements there, ``LAYER`` √(b ``time``) but at least 1e4
+    round-offs; b is the diffusion σ² there."""
     b = float(process.coefficients(np.array([limit])).diffusion[0])
     return limit, max(LAYER * math.sqrt(b * time), 1e4 * EPS * limit)
 

@@ -84,22 +84,23 @@ class StationarySolution:
         return self.answer(energy, log_factor=self._log_states(energy))
 
     def phase_space_density(self, energy: Array) -> Array:
-        """Return p_h/T at ``energy`` of any shape, T the density of states; 0 outside the mesh.
-
-        The unit is that of T in ``Coefficients``.
-        """
+        """Return p_h/T at ``energy`` of any shape, T the density of states in the unit of
+        ``Coefficients``; 0 outside the mesh."""
         return self.answer(energy)
 
     def pointwise_error(self, energy: Array) -> Array:
-        """Return the estimate of |p_h − p| at ``energy`` of any shape."""
+        """Return the estimate of |p_h − p| at ``energy`` of any shape: 0 below 0, beyond the mesh
+        the local part of the estimate at its end."""
         return self._error(energy, self._log_states(energy))
 
     def phase_space_error(self, energy: Array) -> Array:
-        """Return the estimate of |p_h − p|/T at ``energy`` of any shape."""
+        """Return the estimate of |p_h − p|/T at ``energy`` of any shape: outside the mesh the local
+        part of the estimate at the nearest end."""
         return self._error(energy, np.zeros(np.shape(energy)))
 
     def _error(self, energy: Array, factor: Array) -> Array:
-        """Estimated error of u e^``factor`` at ``energy``, local and common errors included."""
+        """Estimated absolute error of u e^``factor`` at ``energy``, with local and common errors;
+        ``factor`` has the shape of ``energy``."""
         log_error, relative = self._of_elements
         x = np.asarray(energy, dtype=float)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
@@ -112,7 +113,8 @@ class StationarySolution:
         return np.asarray(own + floor * np.abs(self.answer(x, log_factor=factor)))
 
     def _log_states(self, energy: Array) -> Array:
-        """ln T at ``energy`` of any shape; beyond the last node, ln T at this node."""
+        """ln T at ``energy`` of any shape; beyond the last node, ln T at this node; −∞ below 0, and
+        at 0 for more than one degree of freedom."""
         end = float(self.nodes[-1])
         x, positive = self.process.on_mesh(np.asarray(energy, dtype=float), end)
         log_T = self.process.coefficients(x.ravel()).log_density_of_states.reshape(x.shape)
@@ -120,7 +122,7 @@ class StationarySolution:
 
     @cached_property
     def _of_elements(self) -> tuple[Array, Array]:
-        """ln of the error of u (elements, points), and relative round-off of p (elements,).
+        """ln |error of u| (elements, points), and the relative round-off of p (elements,).
 
         The points are equidistant in the angle θ, H ~ 1 − cos θ, in which the distance to the
         enriched solution has half-waves of equal length; the largest distance of √T u within two
@@ -198,7 +200,7 @@ def solve_on_mesh(
     null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
     """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
-    ``null_vectors`` goes to ``solve_elements``."""
+    For ``null_vectors`` see ``solve_elements``. Raises as ``probe_process`` does."""
     elements = solve_elements(process, nodes, degree, null_vectors)
     return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 
@@ -206,10 +208,10 @@ def solve_on_mesh(
 def _join_and_judge(
     process: Process, probe: Probe, nodes: Array, e: Elements, degree: int, tol: float
 ) -> tuple[StationarySolution, Flags]:
-    """Return the density of the elements ``e``, scaled to match, and which elements to cut in two.
+    """Return the density of the elements ``e``, scaled to match at the nodes, and which to cut.
 
     They have the ``degree`` and lie between ``nodes``; ``tol`` is the L1 tolerance; ``probe``
-    bounds the tail.
+    bounds the tail. The flags (elements,) mark the elements to cut in two.
     """
     series = e.u, e.enriched
     signed, log_scale, share = zip(*(_match_at_nodes(u, e.log_factor) for u in series), strict=True)
@@ -267,7 +269,8 @@ def _match_at_nodes(u: Array, log_factor: Array) -> tuple[Array, Array, Array]:
     """Scale elements so that they match at the nodes and their total mass is 1.
 
     ``u`` (elements, terms) are Legendre series; ∫T u is e^``log_factor`` for each. Returned are u
-    with signs, positive in the element with most mass, ln of the scales, and the signed masses.
+    with signs, positive in the element with most mass, ln of the scales and the signed masses,
+    (elements,) each. The scales are NaN if the total mass is not positive.
     """
     # P_j is (−1)^j at the left end and 1 at the right one.
     ends = np.stack([u @ (-1.0) ** np.arange(u.shape[1]), u.sum(axis=1)])

@@ -24,13 +24,15 @@ Nodes = tuple[Array, Array]
 
 @lru_cache
 def local_order(degree: int) -> Integers:
-    """Return local numbers of an element's functions, the 4 ``degree`` on its boundary first."""
+    """Return the numbers of an element's functions, the 4 ``degree`` on its boundary first: φ_i(H1)
+    φ_j(H2), i and j from 0 to ``degree``, has the number i (``degree`` + 1) + j."""
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     return np.argsort((i >= 2) & (j >= 2), kind="stable")
 
 
 def axis_numbers(elements: int, degree: int) -> Integers:
-    """Return global numbers (``elements``, ``degree`` + 1) along an axis, vertices first."""
+    """Return the global numbers (``elements``, ``degree`` + 1) of each element's functions along an
+    axis: all vertices have lower numbers than the functions inside elements."""
     vertex = np.arange(elements)[:, None] + np.array([0, 1])
     bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
     return np.hstack([vertex, bubbles])
@@ -55,10 +57,10 @@ def assemble(matrices: Array, numbers: Integers) -> csc_array:
 def lu_factors(
     matrix: csc_array, refusal: str = "the equations of a step in time have no unique solution"
 ) -> SuperLU:
-    """Return the LU factors in a symmetric ordering, with pivots on the diagonal.
+    """Return the LU factors of ``matrix`` in a symmetric ordering, with pivots on the diagonal.
 
-    Without row exchanges the accuracy does not depend on the scales of rows and columns, over which
-    w varies by many decades. Raises ``NotCertified(refusal)`` if the matrix is singular.
+    Without row exchanges the accuracy does not depend on the scales of rows and columns, which vary
+    by many decades. Raises ``NotCertified(refusal)`` if the matrix is singular.
     """
     symmetric = {"SymmetricMode": True}
     try:
@@ -68,11 +70,12 @@ def lu_factors(
 
 
 def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
-    """Return the null vector of a matrix whose columns add up to 0, and its relative residual.
+    """Return the null vector of a ``matrix`` whose columns add up to 0, and its relative residual.
 
     The vertex functions sum to 1, so that the equation of one vertex is redundant; its unknown is
     set to 1. ``vertices`` are the numbers of all vertex unknowns. The first is tried, and then, if
-    it is less than 1e-3 of the largest, the largest, as a small pivot costs its digits.
+    it is less than 1e-3 of the largest, the largest, as a small pivot costs its digits. Raises
+    ``NotCertified`` if the null vector is not unique.
     """
     held, starts, rows = int(vertices[0]), matrix.indptr, matrix.indices
     for _ in range(2):
@@ -99,7 +102,7 @@ def null_function(
     """Return u of the unscaled stationary density p = w u, and the relative residual.
 
     u has the ``degree`` along each axis between ``nodes``; w is the ``weight``; ``points`` is the
-    number of Gauss points of an element along each axis.
+    number of Gauss points of an element along each axis. Raises as ``null_vector`` does.
     """
     (x, y), _ = gauss_grid(nodes, points=points)
     matrices = element_matrices(flux_coefficients(process, x, y, weight)[1:], nodes, degree)
@@ -190,10 +193,11 @@ def _quadrature_products(degree: int, points: int) -> tuple[Array, Array, Array,
 
 
 def element_matrices(coefficients: Array, nodes: Nodes, degree: int) -> Array:
-    """Return element matrices (elements, m, m), test functions first, in ``local_order``.
+    """Return element matrices (elements, m, m), test functions φ_i first, in ``local_order``.
 
-    ``coefficients`` (.., along H1, along H2) on the grid of Gauss points are w a and w b (5), for
-    the flux, or w (1), for ∫ w φ_i φ_j. ``nodes`` ascend; ``degree`` is the same along both axes.
+    ``coefficients`` (…, along H1, along H2) on the grid of Gauss points are the five w a and w b of
+    ``flux_coefficients`` for ∫ w (a φ_j − ½ b ∇φ_j)·∇φ_i, or w alone for ∫ w φ_i φ_j. ``nodes``
+    ascend; ``degree`` is the same along both axes.
     """
     # Lengths (elements, 1, 1) of the elements.
     h1, h2 = (h.reshape(-1, 1, 1) for h in np.meshgrid(*map(np.diff, nodes), indexing="ij"))

@@ -74,7 +74,7 @@ class PlaneSolution:
         return self.u(H1, H2) * self.weight(H1, H2)
 
     def far_ends(self, rise: float) -> Array:
-        """Return the energies (2,) beyond which −ln w exceeds ``rise``."""
+        """Return the energies (2,) beyond which −ln w exceeds ``rise``; the last nodes if w = 1."""
         if self.weight.plain:
             return np.array([x[-1] for x in self.nodes])
         return np.array(self.weight.ends(rise))
@@ -108,7 +108,7 @@ class PlaneSolution:
 
 
 def root_spaced_nodes(ends: Sequence[float] | Array, panels: int) -> Nodes:
-    """Return nodes of ``panels`` from 0 to both ``ends``, equidistant in √H, as p is steep at 0."""
+    """Return nodes (``panels`` + 1,) along each axis, from 0 to ``ends``, equidistant in √H."""
     share = np.linspace(0.0, 1.0, panels + 1) ** 2
     return ends[0] * share, ends[1] * share
 
@@ -124,9 +124,9 @@ def gauss_points(nodes: Nodes, degree: int, weight: Weight) -> int:
 def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Array, Array]:
     """Return the mass beyond each far edge (2,) and the e-folding energies measured there (2,).
 
-    ``p`` is given on the ``grids`` of Gauss points and weights. From its fall over the last
-    ``points`` of each axis the marginal is continued with half of its logarithmic slope, as the
-    slope may decrease. If the marginal does not fall, the mass is infinite, the e-folding energy 0.
+    ``p`` is given on the ``grids``, Gauss points and weights of each axis. From its fall over the
+    last ``points`` of each axis the marginal is continued with half of its logarithmic slope, as
+    this may decrease. If the marginal does not fall, the mass is infinite, the e-folding energy 0.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids

@@ -33,7 +33,7 @@ two long panels; from four panels on a higher degree gains a digit at less cost 
 DIGITS_PER_RUNG = 0.6
 """Digits of the error gained from one of ``RUNGS`` to the next: measured 0.4 to 0.85."""
 REFIT_ERROR = 1e-4
-"""Error above which a weight fitted to the solution is tried before a finer mesh."""
+"""L1 error from which on a weight fitted to the solution is tried before a finer mesh."""
 
 
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
@@ -41,7 +41,8 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
 
     Zero flux is natural far out and at H_i = 0, where the normal diffusion vanishes. If no attempt
     is certified, the attempt with the smallest error estimate is returned. Raises ``NotCertified``
-    if the density does not fall off, ``InvalidInput`` unless the process has two energies.
+    if the density does not fall off or no attempt succeeds, ``InvalidInput`` unless the process has
+    two energies.
     """
     if process.dimension != 2:
         raise InvalidInput("process", process.dimension, "must have two energies")
@@ -123,7 +124,10 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
 
 def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterator[PlaneSolution]:
     """Yield solutions with more unknowns and better weights, as long as these lower the error.
-    ``weight`` is the first weight, ``tol`` the L1 tolerance."""
+
+    ``weight`` is the first weight, ``tol`` the L1 tolerance. Ends after two solutions in a row with
+    more than 0.3 of the least error, after the last of ``RUNGS``, or if a weight does not fall off.
+    """
     rung, least, stalled, best = 0, np.inf, 0, weight
     rise = weights.negligible_rise(tol)
     farthest = max(rise, 25.0)  # the first weight may be far from p

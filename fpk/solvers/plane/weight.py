@@ -1,8 +1,7 @@
 """The weight w = exp(−Φ) of p = w u, Φ a polynomial of both energies close to −ln p.
 
-The solution p does not depend on the weight; the closer w is to p, the fewer unknowns u has, and
-the farther out p stays positive. The first weight is fitted to the slopes of ln p for zero flux,
-later weights are fitted to solutions.
+p does not depend on the weight; the closer w is to p, the fewer unknowns u has, and the farther out
+p stays positive. The first weight is fitted to slopes of ln p for zero flux, others to solutions.
 """
 
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from fpk.numeric.errors import NotCertified
 from fpk.system.process import Process
 
 PROBE = np.logspace(-2.0, 3.0, 26)
-"""Energies of the first fit, in units of ``Process.energy_scales``; on an axis b is singular."""
+"""Energies along each axis of the first fit, over ``Process.energy_scales``; at 0 b is singular."""
 NEGLIGIBLE_FALL = -float(np.log(EPS))
 """Fall of ln p from its maximum, 36, at which p is round-off of its maximum."""
 EDGE_WEIGHT = 1e-3
@@ -30,7 +29,8 @@ contains the error by ending the mesh."""
 MAX_WEIGHT_DEGREE = 6
 """Highest total degree of Φ; under detailed balance it is one above the degree of the damping."""
 GAIN = 0.5
-"""A higher degree is accepted if it lowers the misfit by this factor, as it extrapolates worse."""
+"""Largest misfit at which a fit is accepted, over the misfit of the fit of lower degree accepted
+before: a higher degree extrapolates worse."""
 IMPORTANCE = 10.0
 """Rise of Φ over which the weight of a point in a least-squares fit falls by e: far larger than
 for p itself, 1."""
@@ -45,9 +45,9 @@ long as u ≥ −1e5."""
 
 @dataclass(frozen=True, eq=False)
 class Weight:
-    """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] x^i y^j, x, y = H1, H2/``scales``.
+    """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] (H1/a)^i (H2/b)^j.
 
-    The smallest Φ on the fitted box is 0. ``H1`` and ``H2`` broadcast in all functions.
+    a, b = ``scales``. The smallest Φ on the fitted box is 0. ``H1``, ``H2`` broadcast everywhere.
     """
 
     coefficients: Array
@@ -99,7 +99,8 @@ UNIT_WEIGHT = Weight(np.zeros((1, 1)), (1.0, 1.0))
 def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
     """Return −ln w at the ends of a mesh, beyond which p is negligible for the L1 ``tol``.
 
-    It contains ``height``, −ln w at the start; each ``level`` of refinement adds ``RISE``.
+    It is ``height`` − ln(``EDGE_WEIGHT`` · ``tol``) + ``level`` · ``RISE``: ``height`` is −ln w at
+    the start, ``level`` the number of refinements.
     """
     return height - float(np.log(EDGE_WEIGHT * tol)) + level * RISE
 
@@ -107,8 +108,8 @@ def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
 def flux_free_weight(process: Process) -> Weight:
     """Return w fitted to the slopes of p for zero flux everywhere, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    If p or the fit does not fall off, Φ = Σ H_i/``energy_scales``. Raises ``NotCertified`` if b is
-    singular off the axes.
+    If p or the fit does not fall off, Φ = Σ H_i/``energy_scales``[i]. Raises ``NotCertified`` if b
+    is singular off the axes.
     """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
@@ -161,10 +162,10 @@ def fit_weight(
     *,
     present: Weight | None = None,
 ) -> Weight | None:
-    """Return w fitted to ``log_p`` at the ``known`` points of a ``grid``, or None.
+    """Return w fitted to ``log_p`` (m, n), ln p at the ``known`` points of a ``grid``, or None.
 
-    ``rise`` is the fall of ln p over the known points. None: no fit has less than ``GAIN`` times
-    the misfit of the ``present`` weight.
+    The ``grid`` has axes (m,) and (n,); ``rise`` is the fall of ln p over the known points. None:
+    no fit has less than ``GAIN`` times the misfit of the ``present`` weight, or none rises outside.
     """
     scales, (i, j) = (float(grid[0][-1]), float(grid[1][-1])), np.nonzero(known)
     x, y = grid[0][i], grid[1][j]
@@ -181,7 +182,8 @@ def fit_weight(
 
 
 def last_index(inside: Flags, axis: int) -> int:
-    """Return the largest index along ``axis`` at which any entry of ``inside`` is true."""
+    """Return the largest index along ``axis`` at which any entry of ``inside``, a matrix, is true.
+    Raises ``IndexError`` if no entry is."""
     return int(np.flatnonzero(inside.any(axis=1 - axis))[-1])
 
 
@@ -223,10 +225,10 @@ def _chosen(
     rise: float = np.inf,
     least: float = np.inf,
 ) -> Weight | None:
-    """The accepted fit of highest degree with units ``scales``, or None.
+    """The weight of ``scales`` with the accepted Φ of highest degree, its minimum made 0, or None.
 
-    One of the ``fits`` must rise along every ray beyond the box and where Φ > ``rise``, and have
-    less than ``GAIN`` times the misfit of the fit accepted before, at first ``least``.
+    One of the ``fits`` (Φ, misfit) must rise along every ray beyond the box and where Φ > ``rise``,
+    and have less than ``GAIN`` times the misfit of the fit accepted before, at first ``least``.
     """
     best, outside = None, np.maximum(RAYS[:, None], RAYS) > 1.0
     for phi, misfit in fits:

@@ -28,10 +28,9 @@ from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
-"""Largest number of rounds in which elements are cut in two, and number of elements above which
-none is cut."""
+"""Largest number of meshes that are solved on, and number of elements above which none is cut."""
 TAIL_SHARES = (1e-3, 1e-8)
-"""Mass beyond the mesh of the answer and of the enriched solution, over the tolerance."""
+"""Masses beyond the meshes of the answer and of the enriched solution, over the L1 tolerance."""
 Settings = dict[str, str | float | int]
 
 
@@ -45,11 +44,11 @@ class Elements:
     ∫π f_i f_j, ``load`` ∫π f_i and ``drift`` ∫π F f_i' f_j, F the part of the drift due to damping.
     ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1 and ``relaxation`` is ∫π v_j². Zero flux at H = 0 is
     natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is free; it may have fewer v_j, and
-    the others are 0. ``x`` and ``weight`` (…, points) integrate π times a polynomial.
+    the others are 0. Σ ``weight`` f(``x``), (…, points), is ∫f dH for f = π times a polynomial.
     ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at the left end, in ∛t in
     an element that begins at ``contact`` and in t elsewhere, t from 0 to 1; ``log_local`` is
-    ln of the largest π, relative to π/T at the left end. ``relative_error`` is the error of π and m
-    by the coefficients, ``slope_error`` the resulting error of ln π from one end to the other.
+    ln of the largest π, over π/T at the left end. ``relative_error`` is the error of π and m by the
+    coefficients, ``slope_error`` the resulting error of ln π from one end to the other.
     """
 
     process: Process
@@ -86,22 +85,22 @@ class Elements:
 
     @cached_property
     def log_u(self) -> Array:
-        """ln u at the nodes, 0 at H = 0."""
+        """ln(π/T) at the nodes, (elements + 1,), 0 at H = 0."""
         return np.append(0.0, np.cumsum(self.log_rise.sum(axis=1)))
 
     @cached_property
     def log_scale(self) -> Array:
-        """ln of the unit in which π is given in each element."""
+        """ln of the unit in which π is given in each element, (elements,)."""
         return self.log_u[:-1] + self.log_local
 
     @cached_property
     def steps(self) -> Array:
-        """Unit of π in each element but the last, over the unit in the next element."""
+        """Unit of π in each element but the last, over the unit in the next, (elements − 1,)."""
         return np.exp(-np.diff(self.log_scale))
 
     @cached_property
     def log_mass(self) -> Array:
-        """ln ∫π over each element."""
+        """ln ∫π over each element, (elements,), π/T = 1 at H = 0."""
         return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
 
     @property
@@ -123,7 +122,8 @@ class Elements:
         return float(weights @ self.relative_error + self.slope_error.sum())
 
     def within(self, x: Array) -> tuple[Integers, Array]:
-        """Return the element of each point ``x`` (points,), and its local coordinate, 0 to 1."""
+        """Return the element of each point ``x`` (points,), and its local coordinate, 0 to 1; a
+        point outside has the nearest end."""
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
@@ -133,8 +133,8 @@ class Elements:
         return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
 
     def at(self, x: Array, f: Array, size: Array | None = None) -> tuple[Array, Array]:
-        """Return the function of coefficients ``f`` (…, elements, functions) at ``x``, (…, points).
-        Then the sum of the sizes of its terms, with ``size`` in place of |``f``| if given."""
+        """Return the function of coefficients ``f`` (…, elements, functions) at ``x``, (…, points),
+        and the sum of the sizes of its terms. ``size``, if given, replaces |``f``| in that sum."""
         k, values = self.functions(x)
 
         def summed(a: Array, v: Array) -> Array:
@@ -144,7 +144,7 @@ class Elements:
         return summed(f, values), summed(np.abs(f) if size is None else size, np.abs(values))
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
-        """Return ln π, or ln π/T if ``of_states``, at ``x`` > 0, in the unit of ``log_scale``."""
+        """Return ln π, or ln(π/T) if ``of_states``, at ``x`` > 0 (points,); π/T = 1 at H = 0."""
         k, t = self.within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
@@ -162,8 +162,8 @@ class ChainDensity(NamedTuple):
     """Coefficients of p/π, or of a backward solution, on ``elements`` at several times.
 
     ``values`` (times, elements, functions) are in the units 1/e^``log_scale`` of the elements for a
-    density p, else in one unit; ``size`` are the sums of the sizes of their terms. ``residual`` is
-    the largest relative residual.
+    density p, else in one unit; ``size``, of the same shape, are the sums of the sizes of the terms
+    of which they are computed. ``residual`` is the largest relative residual of the equations.
     """
 
     elements: Elements
@@ -172,8 +172,8 @@ class ChainDensity(NamedTuple):
     residual: float
 
     def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
-        """Return p, or u = p/T if ``of_states``, at ``x`` > 0, (times, points), and size of terms.
-        u has a form of its own, as T vanishes at H = 0."""
+        """Return p, or p/T if ``of_states``, at ``x`` > 0 (points,), and the sum of the sizes of
+        its terms, (times, points) each. The solution must be a density."""
         e = self.elements
         p, size = e.at(x, self.values, self.size)
         factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.within(x)[0]])
@@ -182,7 +182,7 @@ class ChainDensity(NamedTuple):
 
 @lru_cache
 def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
-    """Return the quadrature of an element of ``degree`` on [0, 1], which may begin at ``contact``.
+    """Return the quadrature of an element of ``degree`` on [0, 1], with ``contact`` from 0 on.
 
     Returned are points t and weights; Legendre polynomials of s at the points (points, terms); the
     matrix (terms, points) from values to the Legendre series of their integral from 0 to t; the
@@ -222,7 +222,8 @@ def chain_elements(
 def _elements_of_kind(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool
 ) -> Elements:
-    """Elements of ``degree`` from ``left`` to ``right``: all at H = 0, all at contacts, or none."""
+    """Elements of ``degree`` from ``left`` to ``right`` (elements,), of one kind: they begin at
+    H = 0, or all at contact energies, or all elsewhere. For ``enriched`` see ``chain_elements``."""
     n, first = process.degrees_of_freedom, left[0] == 0.0
     contact = bool(left[0] in process.nonsmooth)
     t, w, series, integral, values, derivatives = rule(degree, contact, n - 1 if first else 0)
@@ -283,7 +284,7 @@ def _elements_of_kind(
 
 
 def degree_for(tol: float) -> int:
-    """Return the degree of elements for the tolerance ``tol``: its number of digits plus 4."""
+    """Return the degree of elements for the tolerance ``tol``: its digits, 4 to 12, plus 4."""
     return int(np.clip(round(-math.log10(tol)), 4, MAX_ELEMENT_DEGREE - 4)) + 4
 
 
@@ -298,8 +299,9 @@ def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLi
 
 
 def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
-    """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element.
-    ``solve`` returns an answer and which elements to cut in two for the next pair."""
+    """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element, or after
+    ``MOST_ROUNDS``. ``solve`` returns an answer and flags (elements,): which elements of the answer
+    to cut in two for the next pair; ``pair`` is the first."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:

@@ -32,20 +32,24 @@ from fpk.system.process import Process
 STAGES = 5
 """Stages of a step of Radau IIA; its order is 2 · 5 − 1."""
 FIRST_STEP = 1e-3
-"""First step, in units of the first time or kink of e: the diffusion forgets its error."""
+"""First step, over the first output time or kink of e(t): the diffusion forgets its error."""
 STEP_RATIO = 3.0
-"""Ratio of both ends of a step at level 0, in the range where steps grow with time."""
+"""Ratio of the times at end and start of a step at level 0, while steps grow with time."""
 STEP_HALVINGS = (1, 4)
-"""Halvings of all steps: while the mesh is adapted, and at most."""
+"""How often all steps are halved: while the mesh is adapted, and at most."""
 Processes = Callable[[float], Process]
 """Function of a factor on the noise intensity that returns the process of the energy."""
 Carried = tuple[ChainDensity, Array, Array]
-"""A density at the times asked for, numbers that follow from it, and errors of some of them."""
+"""The density at the output times, an array of numbers computed from it, and absolute errors of
+some of these numbers that are not seen by refinement."""
 
 
 def quiet_until(modulation: Modulation, source: Source) -> float:
-    """Return the time until which the density that starts from ``source`` is constant. Raises
-    ``InvalidInput`` if the source is an energy > 0, which decays before the first noise."""
+    """Return the time until which the density that starts from ``source`` is constant.
+
+    From rest it is constant until the noise begins, inf if it never does; from a density until 0.
+    Raises ``InvalidInput`` for an energy > 0 if there is no noise at first: the energy decays.
+    """
     if source.process is not None:
         return 0.0
     loud = np.flatnonzero(modulation.factor > 0.0)
@@ -68,10 +72,11 @@ def radau_steps(
 ) -> tuple[ChainDensity, Array, Array, Array]:
     """Return the density at ``times`` > 0 that starts with ``load``, (elements, functions).
 
-    ``unit`` is the e² of the reference noise of ``e``. Also returned are the times of all stages,
-    weights that integrate over time, and the mass, (steps · stages,) each. The steps of Radau IIA
-    grow in proportion to time and end at the times and at the kinks of e; ``level`` is the number
-    of times that all steps are halved. ``absorbing``: p = 0 at the last end, else zero flux.
+    ``times`` ascend; the noise intensity is ``modulation``² over ``unit`` times the noise of the
+    elements ``e``. Also returned are the times of all stages, weights that integrate over time, and
+    the mass, (steps · stages,) each. The steps of Radau IIA grow in proportion to time and end at
+    the ``times`` and at the kinks of the modulation; all are halved ``level`` times. At the last
+    end p = 0 if ``absorbing``, else the flux is zero.
     """
     # The points c_i, the last of which is 1, and the coefficients a_ij.
     x = np.append(roots_jacobi(STAGES - 1, 1, 0)[0], 1.0)
@@ -115,14 +120,14 @@ def halve_steps(
     pair: Pair,
     carried: Callable[[Elements, int], Carried],
     size: Callable[[Array, Array], float],
-    wanted: float,
+    tol: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by <= ``wanted``.
+    """Halve all steps until the numbers of ``carried(elements, level)`` change by little enough.
 
-    ``size(changes, numbers)`` is the size of their changes. Returned are the density on adapted
-    elements, started from ``pair``, with the observed order of the steps among its settings, and
-    three results of ``carried``: the answer, with steps twice as long, and with steps twice as long
-    on the elements of a higher degree.
+    That is ``DISTANCE_FACTOR`` · ``size(changes, numbers)`` <= ``tol``, or the last level of
+    ``STEP_HALVINGS``. Returned are the density on adapted elements, started from ``pair``, with the
+    observed order of the steps among its settings, and three results of ``carried``: the answer,
+    with steps twice as long, and with steps twice as long on the elements of a higher degree.
     """
     carried = lru_cache(maxsize=4)(carried)
     solved = transition.solve_adaptively(
@@ -132,7 +137,7 @@ def halve_steps(
     for level in range(STEP_HALVINGS[0] + 1, STEP_HALVINGS[1] + 1):
         numbers = carried(e, level)[1]
         sizes.append(size(np.abs(numbers - carried(e, level - 1)[1]), numbers))
-        if DISTANCE_FACTOR * sizes[-1] <= wanted:
+        if DISTANCE_FACTOR * sizes[-1] <= tol:
             break
     settings: Settings = {
         "equation": f"modulated noise, Radau IIA of order {2 * STAGES - 1}",
@@ -174,7 +179,7 @@ def transition_with_modulation(
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
 
     def apart(x: Array) -> Array:
-        """Changes of p at ``x`` by doubled steps and by a higher degree, which could cancel."""
+        """|change of p| at ``x`` by steps twice as long, plus |change| by a higher degree."""
         p, in_longer, in_both = (each[0].density(x)[0] for each in found)
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 

@@ -45,12 +45,13 @@ class FirstPassage:
 
     @cached_property
     def means(self) -> list[Array]:
-        """Mean times T of the start, L T = −1: coefficients (elements, functions) on each chain."""
+        """Mean time T until passage as a function of the start, L T = −1, T = 0 at the limit:
+        coefficients (elements, functions) on each chain."""
         return [chain_potential(e, e.load) for e in self.pair]
 
     @cached_property
     def longest(self) -> float:
-        """Mean time from H = 0."""
+        """Mean time until passage from H = 0."""
         return float(self.pair[0].at(np.zeros(1), self.means[0])[0][0])
 
     @property
@@ -61,7 +62,7 @@ class FirstPassage:
 
     @cached_property
     def _coefficients(self) -> Array:
-        """Error of T at the left ends of the elements by the errors of the coefficients.
+        """Absolute error of T at the left ends of the elements by the errors of the coefficients.
 
         T = ∫dx/m ∫π: the error of 1/m in an element is weighted by the fall of T over it, the error
         of π by its mass.
@@ -79,8 +80,8 @@ class FirstPassage:
         return float(self._coefficients[0]) / self.longest + self.round_off
 
     def moments(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean, its error, variance, its error for starts ``x``, (points,) each. The mean is
-        in units of ``longest``, the variance of its square."""
+        """Return mean, its error, variance, its error for starts ``x``, (points,) each. Mean and
+        error are in units of ``longest``, variance and error in units of its square."""
         values = []
         for e, mean in zip(self.pair, self.means, strict=True):
             f = mean / self.longest
@@ -142,8 +143,8 @@ class FirstPassage:
 
 
 def _by_coefficients(relative: float, failure: Array) -> Array:
-    """Error of P(T <= t) = ``failure`` by a ``relative`` error of the coefficients. At short times
-    ln P ~ −(distance)²/(2 b t), so that it is amplified by ln P."""
+    """Absolute error of P(T <= t) = ``failure`` by a ``relative`` error of the coefficients. At
+    short times ln P ~ −(distance)²/(2 b t), so that it is amplified by ln P."""
     steep = 2.0 - np.log(np.clip(np.abs(failure), SMALLEST, 1.0))
     return np.asarray(relative * steep * np.abs(failure))
 
@@ -153,9 +154,9 @@ def chain_first_passage(
 ) -> FirstPassage:
     """Return the first passage of ``limit`` > 0, with errors below ``tol`` if possible.
 
-    Errors are relative for moments and rate, absolute for the probability of failure at ascending
-    ``times``. A ``source`` that is a density gets nodes that resolve it. Raises ``InvalidInput``
-    for a limit whose mean time is beyond double precision.
+    The mesh is refined for ``tol``, relative for moments and rate, absolute for P(T <= t) at
+    ascending ``times``. If ``source`` is a density, nodes resolve it; the answer is not averaged
+    over it. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
     """
     degree, wanted = chain.degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
@@ -283,12 +284,11 @@ def passage_with_modulation(
     first = float(modulation.energy(stops[1])) / unit
 
     def carried(e: Elements, level: int) -> modulated.Carried:
-        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors by ``later``.
+        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors of both by ``later``.
 
-        The steps are halved ``level`` times.
-
-        The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to the end t_e of the modulation, plus
-        E τ and E(2 t_e τ + τ²) of the remaining time τ over the density at t_e.
+        The steps are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to
+        the end t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the
+        density at t_e.
         """
         load, steps = source.load(e), partial(modulated.radau_steps, level=level, absorbing=True)
         g, t, weight, mass = steps(e, load, modulation, unit, stops[1:])

@@ -26,12 +26,12 @@ from fpk.system.process import Process
 CONTOUR_TIMES = 10.0
 """Largest ratio of times that share one contour: it has 75 points, a contour of one time 46."""
 PHI = 0.5
-"""Angle of the hyperbola. Larger angles (1.17) converge faster but stay close to the negative axis,
-where the transform of a density delayed by t_0 grows as e^(−z t_0): with many masses started at
-rest the integral then cancels to less than a millionth of its terms."""
+"""Angle φ of the hyperbola of ``contours``. Larger angles (1.17) converge faster but stay close to
+the negative axis, where the transform of a density delayed by t_0 grows as e^(−z t_0): with many
+masses started at rest the integral then cancels to less than a millionth of its terms."""
 CONTOUR_VERTEX = 6.0
-"""μ t of the contour at its last time t: it crosses the real axis at z t = 3.1, and round-off is
-multiplied by e^3.1."""
+"""μ t of a hyperbola z = μ (1 + sin(iθ − PHI)) at its last time t: it crosses the real axis at
+z t = 3.1, and round-off is multiplied by e^3.1."""
 LONGER = 1.3
 """Factor on the last energy of the mesh from one round of ``relaxation_spectrum`` to the next."""
 RATE_ROUNDS = 6
@@ -48,8 +48,8 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
     A contour has the indices of its times, the points z, and the factors e^(z t) w (times, points)
     of f(t) = Im Σ e^(z t) w F(z): the trapezoidal rule of step h on the half Im z > 0 of the
     hyperbola z(θ) = μ (1 + sin(iθ − φ)). Its error is e^(μt − 2πφ/h), and it ends where e^(z t) is
-    round-off at the first time, but for ``more`` points of a smaller step. J. A. C. Weideman and
-    L. N. Trefethen, Math. Comp. 76 (2007) 1341.
+    round-off at the first time; ``more`` points are added within, at a smaller step. J. A. C.
+    Weideman and L. N. Trefethen, Math. Comp. 76 (2007) 1341.
     """
     order, found, digits = np.argsort(times, kind="stable"), [], -log(EPS)
     while order.size:
@@ -72,11 +72,11 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
 def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     """Return the admittances of the elements at the Laplace variables ``z`` (points,).
 
-    Arrays (elements, …, points), with all elements below eliminated: ``series`` is the conductance
-    from end to end, ``shunt`` the admittances to ground at both ends, ``damped`` is 1 + zν of the
-    functions v_j, ν = ``relaxation``, ``total`` the sum of admittances at the left end, ``ratio``
-    is series/total, and ``passed`` the admittance below, seen through the element from its right
-    end. The first element has no conductance.
+    Arrays (elements, points), with all elements below eliminated: ``series`` is the conductance
+    from end to end, ``shunt`` (elements, 2, points) the admittances to ground at both ends,
+    ``damped`` (elements, functions − 2, points) is 1 + zν of the functions v_j, ν = ``relaxation``,
+    ``total`` the sum of admittances at the left end, ``ratio`` is series/total, and ``passed`` the
+    admittance below, seen through the element from its right end. ``series`` of the first is 0.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -140,8 +140,8 @@ def inverse_laplace(
 ) -> ChainDensity:  # fmt: skip
     """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
 
-    For ``load`` and ``density`` see ``chain_resolvent``; contours have ``more`` points. At the last
-    end f is ``held`` at a value, or the flux is zero if None.
+    For ``load`` and ``density`` see ``chain_resolvent``, for ``more`` see ``contours``. At the last
+    end f = ``held`` at all times, or the flux is zero if None.
     """
     values, size = np.zeros((2, times.size, e.count, e.degree + 1))
     residuals = [0.0]
@@ -156,7 +156,7 @@ def inverse_laplace(
 
 def chain_potential(e: Elements, load: Array) -> Array:
     """Return f (elements, functions) of −L f = ``load``, f = 0 at the right end: first passage.
-    ``load`` (elements, functions) is in the units of the elements."""
+    ``load`` (elements, functions) is in the units of π in the elements, f in one unit."""
     own = zip(load[:, :2].sum(axis=1), e.steps, strict=False)
     below = accumulate(own, lambda current, k: (current + k[0]) * k[1], initial=0.0)
     current = np.fromiter(below, float, e.count) + load[:, 0]

@@ -19,25 +19,26 @@ from fpk.solvers.line.time.resolvent import inverse_laplace
 from fpk.system.process import Process
 
 MIN_LOG_SHARE = -600.0
-"""Smallest ln of the stationary probability above a start energy, to which double precision relates
-1; four times as much if the start is a density (at −5000 errors exceed the stated errors)."""
+"""Smallest ln(p H) of the stationary density at a start energy, less its maximum, that is accepted;
+four times as much if the start is a density (at −5000 errors exceed the stated errors)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Initial density: at one ``energy``, or the stationary density of another ``process``."""
+    """Initial density: at one ``energy``, or the stationary density of another ``process`` if it is
+    not None."""
 
     energy: float = 0.0
     process: Process | None = None
 
     @cached_property
     def extent(self) -> float:
-        """Energy above which the mass of the source is below round-off."""
+        """Energy above which the mass of the source is below round-off; ``energy`` for a point."""
         return float(mesh.probe_process(self.process).extent(EPS)) if self.process else self.energy
 
     def nodes(self, end: float, degree: int) -> Array:
-        """Return nodes up to ``end`` that resolve a source density; empty for one energy. Above its
-        extent elements of ``degree`` grow by ``LENGTH_RATIO``."""
+        """Return nodes of elements of ``degree``, up to ``end``, that resolve a source density;
+        empty for one energy. Above the extent of the source elements grow by ``LENGTH_RATIO``."""
         if self.process is None:
             return np.zeros(0)
         last = min(end, self.extent)
@@ -47,7 +48,8 @@ class Source:
         )
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
-        """Return energies in the elements ``e``, and their weights in a mean over the source."""
+        """Return energies (points,) within the elements ``e``, and weights: Σ weight f(energy) is
+        the mean of f over the part of the source within the elements."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
         nodes = mesh.time_nodes(self.process, self.extent, mesh.MAX_ELEMENT_DEGREE)
@@ -58,7 +60,8 @@ class Source:
         return x, e.weight[within] * np.exp(log_p)
 
     def load(self, e: Elements) -> Array:
-        """Return E f_i over the source, for the functions f_i of each element, (elements, …)."""
+        """Return E f_i over the source within ``e``, for the functions f_i of each element:
+        (elements, functions)."""
         x, weights = self.samples(e)
         k, values = e.functions(x)
         load = np.zeros(e.load.shape)
@@ -68,17 +71,18 @@ class Source:
 
 @dataclass(frozen=True)
 class Question:
-    """Start from ``source``, width of the density at the first time, and L1 tolerance ``tol``."""
+    """Start from ``source``, width of p at the first time (an energy), and L1 tolerance ``tol``."""
 
     source: Source
     width: float
     tol: float
 
     def common_error(self, e: Elements, p: Array, size: Array, x: Array) -> Array:
-        """Return the errors of ``p`` (times, points) at ``x`` that no mesh shows.
+        """Return the absolute errors of ``p`` (times, points) at ``x`` that no mesh shows.
 
         They are errors by the coefficients, amplified where p is small, as at short times
-        ln p ~ −(distance)²/(2 b t); and round-off of energies and of terms of ``size`` in p.
+        ln p ~ −(distance)²/(2 b t); and round-off of energies and of the terms of p, whose sizes
+        have the sum ``size`` (times, points).
         """
         rounding = ROUNDINGS * EPS * (1.0 + x / self.width + e.log_range)
         top = np.abs(p).max(axis=1, keepdims=True) + SMALLEST
@@ -130,7 +134,8 @@ class Transition:
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
-    """Return the density at ``times`` > 0 after ``source``, to the L1 tolerance ``tol``."""
+    """Return the density at ``times`` > 0 after a start from ``source``, to the L1 tolerance
+    ``tol``. Raises as ``pose_question`` does."""
     question, pair = pose_question(process, source, float(times.min()), tol)
     return solve_adaptively(
         question, pair, lambda e, more: inverse_laplace(e, source.load(e), times, more=more)
@@ -184,7 +189,7 @@ def solve_adaptively(
     question: Question, pair: Pair, solve: Callable[..., ChainDensity]
 ) -> Transition:
     """Return the transition by ``solve(e=elements, more=points)`` on adapted meshes. ``pair`` is
-    the first mesh; ``more`` are further points of the contours."""
+    the first mesh; ``more``, > 0 for the enriched solution, adds points to the ``contours``."""
     before, tol = math.inf, question.tol
 
     def solved(pair: Pair) -> tuple[Transition, Flags]:

@@ -23,8 +23,8 @@ from fpk.system.process import Process
 PLANE_LEVELS = ((3, 7), (4, 9), (5, 11), (6, 13), (8, 14), (11, 15))
 """Panels along each axis and degree of successive levels; each gains about two digits."""
 DISTANCE_SHARE = 0.1
-"""Share of the largest difference of two levels in the error at every point: the local difference
-may cross zero."""
+"""Share of the largest difference of two levels that is added to the error at every point: the
+local difference may cross zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,8 @@ class PlaneOperator:
     def pulled_back(self, first: Array, second: Array, of_energies: Array) -> Array:
         """Return the coefficients of the weak form in y = (``first``, ``second``), (6, ...).
 
-        They are |∂H/∂y| times w, G w a and G w b Gᵀ, with G = ∂y/∂H and ``of_energies`` (6, ...)
-        as from ``flux_coefficients``.
+        They are |∂H/∂y| times w, G w a and G w b Gᵀ, with G = ∂y/∂H; ``of_energies`` (6, ...) are
+        w, w a and w b of ``flux_coefficients``, and are returned if y = (H1, H2).
         """
         if not self.collapsed:
             return of_energies
@@ -98,11 +98,11 @@ class PlaneOperator:
 
     @cached_property
     def functions(self) -> tuple[csc_array, csc_array, int]:
-        """Coefficients (shape functions, unknowns) of trial and test functions, and an unknown.
+        """Coefficients (shape functions, unknowns) of trial and test functions, and an unknown k.
 
-        The unknown has the sum of all free vertex functions as its trial function. All vertex
-        functions add up to 1, and A tested with 1 is 0: its test function is this sum minus 1, the
-        negative sum of the functions that an absorbing edge sets to 0.
+        With an absorbing edge the k-th trial function is the sum of all free vertex functions. All
+        vertex functions add up to 1, and A tested with 1 is 0: its test function is this sum minus
+        1, the negative sum of the functions that the edge sets to 0. Without one, k has no meaning.
         """
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
@@ -124,7 +124,7 @@ class PlaneOperator:
 
     @cached_property
     def matrices(self) -> tuple[csc_array, csc_array, Array]:
-        """Sparse A and M of the unknowns, and ∫ w φ of their functions φ."""
+        """Sparse A (test, trial functions), M, and ∫ w φ (unknowns,) of the trial functions φ."""
         (x, y), ((_, v), (_, u)) = gauss_grid(self.nodes, points=self.points)
         at, numbers = self.energies(x, y), tensor.local_numbers(self.nodes, self.degree)
         parts = tensor.flux_coefficients(self.process, *at, self.weight, balanced=self.balanced)
@@ -175,7 +175,8 @@ class PlaneOperator:
 
 @dataclass(frozen=True, eq=False)
 class PlaneStart:
-    """Initial ``energies`` (2,), or the stationary ``density`` under ``factor`` times the noise."""
+    """Initial ``energies`` (2,), or the stationary ``density`` under ``factor`` times the noise
+    intensity; the other is None."""
 
     energies: Array | None = None
     density: PlaneSolution | None = None
@@ -192,7 +193,7 @@ class PlaneStart:
         return 0.0 if self.energies is None else float(stationary.weight.exponent(*self.energies))
 
     def dual(self, op: PlaneOperator) -> Array:
-        """Return E φ of the initial density, for the functions φ of all unknowns of ``op``."""
+        """Return E φ (unknowns,) of the initial density, φ the trial functions of ``op``."""
         if self.density is None:
             assert self.energies is not None
             y, p = op.coordinates(*self.energies[:, None]), np.ones((1, 1))

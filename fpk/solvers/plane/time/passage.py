@@ -30,8 +30,8 @@ MAX_LIMIT_RISE = 300.0
 MAX_PLANE_UNKNOWNS = 300_000
 """Largest number of unknowns of a level: its matrices and factors take 3 GB."""
 VECTORS = (4, 30)
-"""Number of Arnoldi vectors: (factor, constant) on the number of eigenvalues sought. With few
-vectors one of several nearly equal rates may be missed."""
+"""Number of Arnoldi vectors for k eigenvalues: the first times k, plus the second. With few vectors
+one of several nearly equal rates may be missed."""
 RATES_HEIGHT = 8.0
 """Rise of −ln w by which meshes are longer than for densities, as eigenfunctions grow with H."""
 
@@ -51,11 +51,11 @@ class PlaneLimit:
 
     @property
     def absorbing(self) -> tuple[bool, bool]:
-        """Which far edges of the mesh are limits."""
+        """Whether the far edge of each coordinate is a limit: of H1 and H2, or of H and H1/H."""
         return self.collapsed or self.first is not None, self.second is not None
 
     def edge(self, far: Array) -> tuple[Array, Array]:
-        """Return points (H1, H2) along the limit; ``far`` (2,) ends an axis without limit."""
+        """Return H1 and H2, (points,) each, along the limit; ``far`` (2,) ends an axis without."""
         t = np.linspace(0.0, 1.0, 41)
         if self.total is not None:
             return self.total * t, self.total * (1.0 - t)
@@ -66,8 +66,8 @@ class PlaneLimit:
     def nodes(self, stationary: PlaneSolution, rise: float, panels: int) -> Nodes:
         """Return nodes up to the limit, or to −ln w = ``rise`` along an axis without limit.
 
-        There are ``panels`` along each axis, more if −ln w of ``stationary`` rises by more than
-        ``FOLDS`` on each.
+        They are for H1 and H2, or for H and H1/H if H = H1 + H2 is limited: ``panels`` along each
+        axis, more if −ln w of ``stationary`` rises by more than ``FOLDS`` on each.
         """
         if self.total is not None:
             corners = stationary.weight.exponent(*(self.total * np.eye(2)))

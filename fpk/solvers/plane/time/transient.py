@@ -45,7 +45,7 @@ class KrylovSolution(NamedTuple):
     """g at several times (times, unknowns), with its errors.
 
     ``change`` (times, unknowns) is the change by the last ``KRYLOV_BLOCK`` dimensions, ``rounding``
-    (times,) the round-off relative to the norm ∫ w g², ``residual`` the largest relative residual
+    (times,) the round-off relative to the norm √∫ w g², ``residual`` the largest relative residual
     of the linear systems.
     """
 
@@ -56,7 +56,8 @@ class KrylovSolution(NamedTuple):
 
 
 def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Array) -> float:
-    """Return max |``right`` − ``matrix`` ``x``| over its largest term; ``sizes`` is |matrix|."""
+    """Return max |r − A ``x``| over max |r| + max |A| |``x``|: r = ``right``, A = ``matrix``;
+    ``sizes`` is |A|, of every entry."""
     defect = np.abs(right - matrix @ x)
     return float(np.max(defect) / (np.max(np.abs(right)) + np.max(sizes @ np.abs(x))))
 
@@ -64,7 +65,7 @@ def relative_residual(matrix: csc_array, sizes: csc_array, x: Array, right: Arra
 def krylov_exponential(
     A: csc_array, M: csc_array, dual: Array, times: Array, *, tol: float
 ) -> KrylovSolution:
-    """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of its norm ∫ w g².
+    """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of √∫ w g².
 
     ``dual`` (unknowns,) is E φ of the initial density. The eigenvalues of (M − γA)⁻¹ M give the
     rates with the error round-off/γ, which is small for the slow rates of large times.
@@ -113,7 +114,8 @@ def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float
 
 
 def _small_exponential(H: Array, times: Array, gamma: float) -> tuple[Array, Array, Array]:
-    """e^(tA) e_1 (times, m) with A = (1 − ``H``⁻¹)/``gamma``, (m, m), its round-off and norms."""
+    """e^(tA) e_1 (times, m) with A = (1 − ``H``⁻¹)/``gamma``, (m, m), its round-off, which is an
+    absolute error, and its Euclidean norms, (times,) each."""
     s, X = np.linalg.eig(H)
     condition, first = float(np.linalg.cond(X)), np.linalg.solve(X, np.eye(len(H))[0])
     # For s below 1e-3 the factor e^(t(1 − 1/s)/γ) is below e^−999, as t >= γ.
@@ -167,7 +169,8 @@ def marginal_at(
 def marginal_grid(
     op: PlaneOperator, observed: tuple[int, ...]
 ) -> tuple[Sequence[Array], Array, list[float]]:
-    """Return a grid of the ``observed`` energies, its quadrature weights, and the last energies."""
+    """Return a grid of the ``observed`` energies, its quadrature weights (points,), and the energy
+    at which the mesh ends along each axis. For ``observed`` see ``marginal_at``."""
     ends = [float(x[-1]) for x in op.nodes]
     if not observed:  # panels equidistant in √H
         x, w = panel_rule(root_spaced_nodes((sum(ends), 1.0), 12)[0], 8)
