@@ -79,11 +79,12 @@ class Table:
         return [key + in_brackets(self.units.get(key, "")) for key in self.rows[0]], rows
 
     def unrepeated(self) -> tuple[list[str], list[list[str]]]:
-        """Return ``cells``; the first cells of a row are empty if the row above has the same."""
+        """Return ``cells``; first cells equal to the row above are empty, but the last never is."""
         head, rows = self.cells()
         for above, row in reversed(list(pairwise(rows))):
             same = [a == b for a, b in zip(above, row, strict=True)]
-            row[: same.index(False)] = [""] * same.index(False)
+            count = [*same[:-1], False].index(False)
+            row[:count] = [""] * count
         return head, rows
 
     @property
