@@ -34,7 +34,7 @@ displacement."""
 
 
 def expansion_density(ladder: Ladder, observable: Observable, tol: float) -> Density:
-    """Return the density of ``observable`` by the finest solution of ``ladder``, judged by ``tol``.
+    """Return the density of ``observable`` by the finest solution of ``ladder``, to the L1 ``tol``.
 
     The error at a point is the scaled maximum of the difference to the coarser solution nearby plus
     the error of quadrature. If the ladder ended with an L1 error above ``tol``, the certificate
@@ -111,9 +111,10 @@ def expansion_settings(ladder: Ladder) -> dict[str, str | float | int]:
 
 
 def force_means(e: Expansion) -> tuple[Array, Array, Array]:
-    """Return E v_i f_i and E r_i f_i (n,) of the damping terms' forces f, in the frame's order.
+    """Return E v_i f_i and E r_i f_i (n,), −f the scaled forces of the damping terms on the masses.
 
-    The third result is E(f_i | y) at the points y times the weights of the basis, (n, points).
+    The masses are in the frame's order, r_1 is y. The third result is E(f_i | y) at the points y
+    times the weights of the basis, (n, points).
     """
     b = e.basis
     n, top = b.frame.n, 2 + damping_degree(b.frame)

@@ -1,8 +1,4 @@
-"""Crossings, spectra, autocovariances and relaxation rates of the full system, with errors.
-
-In all signatures ``row`` is the mass of q, from 0, ``at`` are levels, angular frequencies or lags
-(points,), ``tol`` is the relative tolerance.
-"""
+"""Crossings, spectra, autocovariances and relaxation rates of the full system, with errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -79,13 +75,13 @@ def adapt(
     what: str,
     numbers: type = complex,
 ) -> tuple[Ladder, Answer]:
-    """Return the first answer whose relative error is at most ``tol``, else the best answer.
+    """Return the first answer with a relative error up to ``tol``, else the best, and its ladder.
 
     ``measure`` computes the answer of one solution, ``apart`` the difference of two answers, whose
     error is estimated as for densities. The densities of ``observables`` meet the tolerance, too,
     unless a limit ends the refinement. An earlier answer with a smaller error is preferred if the
     later answer agrees within it. ``what`` is for reports of progress, ``numbers`` the type of the
-    numbers of the elimination.
+    numbers of the elimination. Raises ``NotCertified`` if the expansion breaks down.
     """
     best: tuple[Ladder, Answer] | None = None
     believed: float | None = None
@@ -122,13 +118,19 @@ def deviations(e: Expansion, row: int) -> Array:
 
 
 def crossings(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
-    """Return the rates of upcrossing of levels; the net flux, which should be 0, adds an error."""
+    """Return the upcrossings per unit time of the levels ``at`` by q of mass ``row`` (0-based).
+
+    The net flux, which should be 0, adds to the error; ``tol`` has no effect.
+    """
     (size, velocity), (up, net) = deviations(e, row), crossing_rates(e, row, at)
     return Answer(up, up[None], velocity / (2.0 * np.pi * size), added=np.abs(net))
 
 
 def about_levels(ladder: Ladder, fine: Answer, coarse: Answer, *, row: int, at: Array) -> Array:
-    """Return the largest difference of the rates within half a standard deviation of each level."""
+    """Return the largest difference of the rates of q_row near each of the levels ``at``.
+
+    ``row`` is 0-based; near is within half a standard deviation.
+    """
     ((ends,), _), count = marginal(ladder.finest, (Coordinate("q", row),)), DISTANCE_POINTS[2]
     grid = np.linspace(ends[0], ends[-1], count)
     up, before = (crossing_rates(e, row, grid)[0] for e in (ladder.finest, ladder.coarser))
@@ -137,7 +139,10 @@ def about_levels(ladder: Ladder, fine: Answer, coarse: Answer, *, row: int, at: 
 
 
 def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
-    """Return the rates of upcrossing ∫_0^∞ v f(a, p) dp (Rice) and the net flux ∫ v f(a, p) dp."""
+    """Return upcrossing rates ∫_0^∞ v f(a, p) dp (Rice) and net fluxes ∫ v f(a, p) dp.
+
+    They are (levels,), a the levels ``at``; f is the joint density of q and p of mass ``row``.
+    """
     axes, pdf = marginal(e, (Coordinate("q", row), Coordinate("p", row)))
     _, [(p, w)] = gauss_grid([np.union1d(axes[1], 0.0)])
     flux = w * p / e.basis.frame.system.mass[row]
@@ -148,11 +153,12 @@ def crossing_rates(e: Expansion, row: int, at: Array) -> tuple[Array, Array]:
 
 
 def spectrum(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
-    """Return the power spectral density Re G(iω)/π, G(s) = ∫ q' (s − L)⁻¹ q' p, q' = q − E q.
+    """Return the two-sided spectral density Re G(iω)/π, G(s) = ∫ q' (s − L)⁻¹ q' p, q' = q − E q.
 
-    On the flank of a peak S may agree in two solutions although the peak has moved; Im G then does
-    not. So G is compared, too, without its first terms at high frequency σ_q²/s − σ_v²/s³, which do
-    not contribute to S: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
+    q is of mass ``row`` (0-based), ω are the frequencies ``at``; ``tol`` has no effect. On the
+    flank of a peak S may agree in two solutions although the peak has moved; Im G then does not. So
+    G is compared, too, without its first terms at high frequency σ_q²/s − σ_v²/s³, which do not
+    contribute to S: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
     """
     w, place = np.unique(np.abs(at), return_inverse=True)
     A, (size, velocity) = resolvent.generator(e, odd=e.basis.mirrored), deviations(e, row)
@@ -164,10 +170,11 @@ def spectrum(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> An
 
 
 def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> Answer:
-    """Return the autocovariance C(t) = ∫ q' e^(Lt) q' p of q, q' = q − E q.
+    """Return the autocovariance C(t) = ∫ q' e^(Lt) q' p of q, q' = q − E q, at the lags ``at``.
 
-    C may agree in two solutions by chance, at a lag where oscillations of different frequencies
-    meet; C' does not there. So C + i C'/κ is compared, κ = 2 σ_v/σ_q.
+    q is of mass ``row`` (0-based), ``tol`` the tolerance relative to C(0). C may agree in two
+    solutions by chance, at a lag where oscillations of different frequencies meet; C' does not
+    there. So C + i C'/κ is compared, κ = 2 σ_v/σ_q.
     """
     A, (size, velocity) = resolvent.generator(e, odd=e.basis.mirrored), deviations(e, row)
     c, b = resolvent.displacement_vectors(e, row, A)
@@ -178,7 +185,10 @@ def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) ->
 
 
 def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
-    """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs."""
+    """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs.
+
+    ``work`` limits the operations, and so the number of eliminations.
+    """
     parities = (True, False) if e.basis.mirrored else (False,)
     parts = [resolvent.generator(e, odd=odd, closed=True) for odd in parities]
     # Largest natural frequency of the linear system with the covariances of the solution.
@@ -192,7 +202,10 @@ def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
 
 
 def nearest(ladder: Ladder, fine: Answer, coarse: Answer) -> Array:
-    """Return the difference of each rate to its partner in ``coarse``, in the nearest pairing."""
+    """Return the distance of each rate to its partner in ``coarse``, in the nearest pairing.
+
+    A rate without a partner counts with its own size.
+    """
     apart, differences = np.abs(fine.values[:, None] - coarse.compared), np.abs(fine.values)
     rows, columns = linear_sum_assignment(apart)
     differences[rows] = apart[rows, columns]

@@ -14,7 +14,8 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_RULES
 
 AXIS_PANELS = {1: 16, 2: 10}
-"""Panels of an axis without stops, by the number of axes; each side of a stop has half as many."""
+"""Panels of an axis, by the number of axes. The contact displacement has instead half of the first
+number on each panel of the basis."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points per conditional standard deviation of the contact displacement, beside a point for
 each degree: 137 points integrate a Gaussian over 34 standard deviations to round-off."""
@@ -70,7 +71,7 @@ def _marginal_density(
 ) -> Callable[..., Array]:
     """Return the density of ``forms``, each as ``linear_form`` returns it.
 
-    The contact displacement must be the first if it is one of two. ``share`` is as in ``marginal``.
+    The contact displacement must be the first if it is one of two. ``share``: see ``marginal``.
     """
     b = e.basis
     known = not np.any(forms[0][2])
@@ -143,7 +144,10 @@ def _projections(e: Expansion, directions: Array) -> Array:
     out = np.zeros((*[len(e.levels)] * len(raising), in_panels[0].shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:
-        """Fill ``out`` for all orders that begin with ``place``, whose combination is ``v``."""
+        """Write into ``out`` the entries of all (n, …) that begin with ``place``.
+
+        ``v`` (degrees,) is the combination of the He_k for the orders ``place``.
+        """
         n, axis = sum(place), len(place)
         if axis == len(raising):
             out[place] = v[e.space.span(n)] @ in_panels[n]

@@ -198,7 +198,7 @@ def solution_ladder(
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
-    """Return ``earlier`` if its error is smaller and the later density is within it."""
+    """Return ``earlier`` if its error is smaller and contains the later density, else ``later``."""
     a, b = (ladder.errors[observable] for ladder in (earlier, later))
     agree = a <= b and solution_distance(earlier.finest, later.finest, observable) <= a
     return earlier if agree else later

@@ -33,13 +33,19 @@ DISCS = 40
 
 
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return A on functions that change sign under reflection if ``odd``, else on the others."""
+    """Return A on functions that change sign under reflection if ``odd``, else on the others.
+
+    ``closed``: see ``chain_of``.
+    """
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
 
 
 def solve_shifted(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
-    """Return the function b → (s − A)⁻¹ b, s = ``shift``, for vectors or columns b of mass 0."""
+    """Return the function b → (s − A)⁻¹ b, s = ``shift``, for a vector or columns b.
+
+    The mass of b, which should be 0, is removed first. For ``step`` see ``eliminate``.
+    """
     (solve, _), one = eliminate(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
@@ -141,7 +147,7 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Return eigenvalues λ of −A near i ``at``, and the radius within which they are complete."""
+    """Return the eigenvalues λ of −A about i ``at``, and the radius within which these are all."""
     solve = solve_shifted(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)

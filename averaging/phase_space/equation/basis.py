@@ -46,7 +46,7 @@ class Panel:
     recurrence: Array
 
     def parts(self, count: int) -> Array:
-        """Return the ends of ``count`` parts of the panel, graded towards its stop."""
+        """Return the ends of ``count`` parts: equal, or beyond a stop graded, beginning there."""
         share = np.linspace(0.0, 1.0, count + 1)
         length = (self.high - self.low) * (share**4 if self.direction else share)
         return self.high - length if self.direction < 0 else self.low + length
@@ -112,11 +112,14 @@ class Basis:
 
     @cached_property
     def at_points(self) -> tuple[Array, Array]:
-        """Polynomials of all panels and their derivatives at the points."""
+        """The result of ``functions`` at the quadrature ``points``."""
         return self.functions(self.points)
 
     def functions(self, y: Array) -> tuple[Array, Array]:
-        """Return the polynomials of all panels at ``y`` (points,), and their derivatives in y."""
+        """Return the polynomials of all panels at ``y`` (points,), and their derivatives in y.
+
+        Both are (points, polynomials); a panel's are 0 at points of other panels.
+        """
         starts = np.cumsum([0, *(p.degree for p in self.panels)])
         values, slopes = (np.zeros((y.size, starts[-1])) for _ in range(2))
         which = np.clip(np.searchsorted(self.nodes, y, side="right") - 1, 0, len(self.panels) - 1)

@@ -70,7 +70,7 @@ class Chain:
         return np.asarray(A)
 
     def blocks(self, matrix: sparse.csr_array, away: int) -> list[sparse.csr_array]:
-        """Return the blocks that couple stages to the stages ``away`` above, lowest stage first."""
+        """Return the blocks (n, n + ``away``) of ``matrix`` in ascending order of the stages n."""
         stages = range(max(-away, 0), self.top + 1 - max(away, 0))
         return [matrix[self.span(n), self.span(n + away)] for n in stages]
 
@@ -210,9 +210,9 @@ def _product_entries(
 
 
 def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
-    """Return the entries of ``factor`` (pairs,) times F (diagonal if 1-D).
+    """Return the entries of one block for each pair, its ``factor`` times F (diagonal if 1-D).
 
-    ``to`` and ``of`` (pairs,) are the first rows and columns.
+    The block of a pair begins at row ``to`` and column ``of``, (pairs,) each.
     """
     index = np.indices(F.shape, dtype=np.int32)
     row, column = (
@@ -235,7 +235,9 @@ def levels_per_stage(frame: Frame) -> int:
 def state_polynomials(
     functions: Basis, C: Array, space: Space
 ) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
-    """Return displacements (y, r), velocities v and damping forces f as polynomials, z = ``C`` ζ.
+    """Return displacements (y, r), velocities v and forces f as polynomials in ζ, z = ``C`` ζ.
+
+    dv contains −f dt, f the force of the damping terms over √m.
 
     The matrices are exact on degrees of ``space`` that multiplication does not lead out of it.
     """

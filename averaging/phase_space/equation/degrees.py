@@ -32,8 +32,9 @@ Matrix = sparse.csr_array
 class Degrees:
     """Degrees of an expansion.
 
-    ``total`` is the largest |k|, ``others`` the largest Σ max(j, k) over the other masses,
-    ``outer`` the number of polynomials in y beyond the last stop at level 0.
+    ``total`` is the largest level, the sum |k| of the degrees of a Hermite polynomial; ``others``
+    the largest Σ max(j, k) over the other masses, j and k the degrees in an amplitude and its
+    conjugate; ``outer`` the number of polynomials in y beyond the last stop at level 0.
     """
 
     total: int

@@ -63,7 +63,7 @@ class Expansion:
         return np.asarray(self.of_panels(n) @ values.T)
 
     def of_panels(self, n: int) -> Array:
-        """Return the coefficients of level ``n`` in the polynomials of all panels."""
+        """Return the coefficients (degrees, polynomials of all panels) of level ``n``."""
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
     @property
@@ -124,7 +124,7 @@ def expand(
 def _refine(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
     """Return the solution of mass 1 by iterative refinement with ``solve``, and its residual.
 
-    ``scale`` is the factor of the equation of the mass and ``paired`` as in ``eliminate``.
+    ``scale`` is the factor of the equation of the mass; ``paired``: see ``eliminate``.
     """
     matrix, one = chain.matrix, chain.basis.of_one
     given = scale * one

@@ -14,7 +14,8 @@ from fpk.system.equivalent import equivalent_temperature
 from fpk.system.system import System, looks_the_same_mirrored
 
 LINEARISATIONS = 20
-"""Linear systems, each with the contact force averaged over the last state; they may alternate."""
+"""Number of linear systems solved in turn, each with the contact force averaged over the Gaussian
+state of the last; fixed, since the states may alternate."""
 FORCE_POINTS = 80
 """Gauss points of the average of the contact force over a Gaussian y."""
 
@@ -46,12 +47,12 @@ class Frame:
         return len(self.order)
 
     def place(self, c: Coordinate) -> tuple[int, float]:
-        """Return the index of q or p of ``c`` in (y, r, v), and its value per unit of the entry."""
+        """Return i and a factor: the q or p of ``c`` is the factor times entry i of (y, r, v)."""
         at, root = self.order.index(c.row), float(np.sqrt(self.system.mass[c.row]))
         return (at + self.n, root) if c.kind == "p" else (at, 1.0 / root)
 
     def contact_energy(self, y: Array) -> Array:
-        """Return the contact energy U at ``y``."""
+        """Return the contact energy U at ``y`` = √m q of any shape."""
         return self.system.contact_energy(self.contact, y / self.root)
 
     def contact_force(self, y: Array) -> Array:

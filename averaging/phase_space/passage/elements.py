@@ -32,7 +32,7 @@ third longer."""
 
 
 def factorise_sparse(matrix: csc_array) -> Any:
-    """Return the factors of ``matrix``; raise ``NotCertified`` if the elimination breaks down."""
+    """Return SuperLU factors of ``matrix``; raise ``NotCertified`` if elimination breaks down."""
     right = matrix @ np.ones(matrix.shape[0])
     symmetric: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     for pivot in PIVOTS:
@@ -67,7 +67,7 @@ class Elements:
     free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
-        """Return the vector of the functional Σ ``weights`` u(``q``, ``v``) within the limit."""
+        """Return the vector of the functional Σ_i weights_i u(q_i, v_i), all within the limit."""
         m, n = self.mesh, self.mesh.degree + 1
         places, values = [], []
         for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
@@ -114,7 +114,7 @@ class Elements:
         return mean, second, abs(factor - 1.0)
 
     def rate(self) -> float:
-        """Return the smallest eigenvalue of −L: outflow over mass of its left eigenvector."""
+        """Return the failure rate, the least eigenvalue of −L: outflow over mass of its density."""
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
@@ -176,7 +176,7 @@ class Elements:
 
 
 def shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) at ``t`` of the Lobatto polynomials.
+    """Return values and slopes (points, degree + 1) at ``t``, −1 to 1, of the Lobatto polynomials.
 
     They are the Lagrange polynomials of the Lobatto nodes; hierarchical polynomials would lose all
     digits on a panel over which the weight falls by e²⁰.

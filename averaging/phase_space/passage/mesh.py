@@ -55,7 +55,7 @@ class Oscillator:
 
     @property
     def diffusion(self) -> float:
-        """D/m², the diffusion of the velocity."""
+        """D/m², half of σ² of the velocity: dv = … + √(2 D/m²) dB."""
         return self.noise / self.mass**2
 
     def energy(self, q: Array, v: Array) -> Array:
