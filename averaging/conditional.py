@@ -141,9 +141,7 @@ def gibbs_integral(
     The second result bounds the absolute error by interpolation, without the error of the Gauss
     rule of ``points`` on each panel. ``at`` (observed, N) are the displacements of the masses
     ``observed`` (0-based), T is ``temperature``. Up to two hidden masses between observed masses
-    are integrated at once; masses outside are integrated one after another, from the farthest
-    inwards, as the integral over all masses beyond a mass is a smooth function of its displacement,
-    from 0 to 1.
+    are integrated at once; masses outside one after another, from the farthest inwards.
     """
 
     def over(laws: Sequence[Conditional], given: Array, beyond: Piecewise | None = None) -> Array:

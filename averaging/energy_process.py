@@ -192,9 +192,9 @@ def exponential_density(
 
 
 def _round_off(exponent: Array, energy: Array) -> Array:
-    """Return 2 ε Σ_e |a_e H^e|, a bound of the round-off of Σ_e a_e H^e, shape of ``energy`` H.
+    """Return a bound, 2 ε Σ_e |a_e H^e|, of the round-off of the polynomial Σ_e a_e H^e.
 
-    The coefficients a are ``exponent`` (powers,).
+    a (powers,) is ``exponent``, H ``energy`` of any shape, which is the shape of the result.
     """
     return np.asarray(2.0 * EPS * polynomial.polyval(np.abs(energy), np.abs(exponent)))
 

@@ -83,9 +83,9 @@ class Gaussian:
         return rows, scale, np.asarray(L)
 
     def density(self, observable: Observable, *, tol: float) -> Density:
-        """Return the density of H, or of one or two of (q, p), certified to the L1 ``tol``.
+        """Return the density of H, or of one or two of (q, p), with its certificate.
 
-        Raises ``NotApplicable`` with the reason that ``refusal`` gives.
+        ``tol`` is the L1 tolerance. Raises ``NotApplicable`` with the reason of ``refusal``.
         """
         if observable[0].kind == "H":
             return self._energy_density(observable, tol)
@@ -162,8 +162,7 @@ def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Arr
     (k,), whose errors are ``errors`` (k,). The density is the inverse Laplace transform of
     Π (1 + λ_j s)^−shape: with z = 1 + λ_max s the trapezoidal rule on the parabola z = c (1 + iu)²,
     c at the saddle point or to its right, converges geometrically and with relative accuracy for
-    any ratios of the scales (Weideman and Trefethen, Math. Comp. 76 (2007) 1341); partial fractions
-    cancel if scales are nearly equal.
+    any ratios of the scales (Weideman and Trefethen, Math. Comp. 76 (2007) 1341).
 
     The error is the sum of the difference to a coarser contour, the round-off of the terms, and the
     effect of ``errors`` by ∂ ln p^/∂λ_j = −shape s/(1 + λ_j s), p^ the Laplace transform.
@@ -270,8 +269,7 @@ class Linear(Theory):
         """Return the spectral density (1/π) [h f D fᵀ h*]_ii of q_i at the angular frequencies ω.
 
         h(ω) = (K − ω² M + iω c)⁻¹ is the matrix of transfer functions. The spectral density is
-        two-sided: white noise with E[W W'] = 2 D δ has D/π. The error follows, to first order, from
-        the round-off of all entries of h⁻¹.
+        two-sided: white noise with E[W W'] = 2 D δ has D/π.
         """
         system, row, w = asked.system, asked.row, asked.at[:, None, None]
         _, _, certified = self._curve(asked, "spectrum")
@@ -288,10 +286,8 @@ class Linear(Theory):
     def correlation(self, asked: Asked) -> Curve:
         """Return the autocovariance (e^(At) Σ)_ii of q_i at the lags t, Σ the covariance.
 
-        A is the drift matrix in the modal coordinates (ω Q, P), in which ‖e^(At)‖ <= 1, so that a
-        perturbation dA changes e^(At) by at most t ‖dA‖ ‖e^(At/2)‖. With w the row of q_i there,
-        an error of relative size ε of Σ changes the answer by at most ε times the product of the
-        standard deviations of q_i and of its forecast wᵀ e^(At).
+        A is the drift matrix in the modal coordinates (ω Q, P). There ‖e^(At)‖ <= 1, so that a
+        perturbation dA changes e^(At) by at most t ‖dA‖ ‖e^(At/2)‖.
         """
         scale, _, certified = self._curve(asked, "correlation")
         modes = asked.system.fact(linear_covariance)
@@ -312,12 +308,11 @@ class Linear(Theory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the slowest eigenvalues Σ n_j μ_j of −L, n_j = 0, 1, … not all 0.
+        """Return the ``asked.count`` slowest eigenvalues Σ n_j μ_j of −L, n_j = 0, 1, … not all 0.
 
         μ_j are the eigenvalues of minus the drift matrix: products of linear eigenfunctions are
-        eigenfunctions of L up to terms of lower degree. A conjugate pair counts as one, with
-        Im >= 0. The error of μ_j is the round-off of the drift matrix times the condition
-        number of μ_j, at most the square root of 1/round-off, which holds for a double eigenvalue.
+        eigenfunctions of L up to terms of lower degree. A conjugate pair counts once, with
+        Im >= 0.
         """
         system = asked.system
         self.planned(system, ())

@@ -106,7 +106,7 @@ class Integrable(Theory):
 
     @answer
     def transient(self, asked: Asked) -> Transient:
-        """Return densities of modal energies, or of one or two of (q, p), at the given times."""
+        """Return densities of modal energies, of their sum, or of one or two of (q, p)."""
         return self._in_time(Transient, "transient", asked)
 
     @answer

@@ -85,7 +85,7 @@ class NonIntegrable(EnergyTheory):
 
         Without a tolerance ``tol_for`` gives it, at least ``MODULATED_TOL`` by finite elements
         under modulated noise. Raises ``InvalidInput`` for the time 0 if the start is a known energy
-        or, by finite elements, if q or p is observed; ``NotApplicable`` without a closed form.
+        or, by finite elements, if q or p is observed; ``NotApplicable`` if the solver cannot do it.
         """
         system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
@@ -159,7 +159,7 @@ class NonIntegrable(EnergyTheory):
         return square_root(system, self.solver).rates(asked.count, tol=tol)
 
     def _settled(self, asked: Asked) -> Asked:
-        """Return ``asked`` with an ``EnergyStart`` and a tolerance, see ``transient``; a copy."""
+        """Return a copy of ``asked`` with an ``EnergyStart`` and a tolerance (``transient``)."""
         modulated = asked.system.modulation is not None and self.solver == "fem"
         default = max(self.tol_for(asked.system), MODULATED_TOL if modulated else 0.0)
         return with_energy_start(asked, asked.tol or default)

@@ -63,10 +63,7 @@ class Theory(Method):
         return ROUTES[self.method, self.solver]
 
     def refined(self) -> Self:
-        """Return a copy with a tolerance ten times smaller, at least ``SMALLEST``.
-
-        ``tol`` None counts as ``UNIFORM_TOL`` by scikit-fem, otherwise as ``DEFAULT``.
-        """
+        """Return a copy with a tenth of the tolerance or of its default, at least ``SMALLEST``."""
         default = UNIFORM_TOL if self.route.named else DEFAULT
         return replace(self, tol=max(0.1 * tolerance(self.tol, default), SMALLEST))
 
@@ -81,10 +78,7 @@ class Theory(Method):
 
     @classmethod
     def register(cls, **options: Any) -> None:
-        """Add a ``Route`` for each solver to ``ROUTES``; ``options`` are further fields of each.
-
-        Raises ``ValueError`` if a route is registered already.
-        """
+        """Add a ``Route`` for each solver to ``ROUTES``; ``options`` are further fields of each."""
         for solver, words, equation in cls.solvers:
             make, named = partial(cls, solver=solver), solver == "scikit-fem"
             names = cls.method, solver, words, equation, cls.solves
@@ -96,11 +90,11 @@ class EnergyTheory(Theory):
     """Theory of a density u(H(q, p)) of the full state; other densities are marginals of it."""
 
     def exponential(self, system: System) -> bool:
-        """Return whether u is C exp(−αH); raise ``NotApplicable`` if the theory does not hold."""
+        """Return whether u is C exp(−αH), raise ``NotApplicable`` if the theory fails; abstract."""
         raise NotImplementedError
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return the density u for ``system``, and the result's settings, which are for readers."""
+        """Return the density u for ``system``, and the settings of the result; abstract."""
         raise NotImplementedError
 
     def prepare(self, system: System) -> Plan:

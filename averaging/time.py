@@ -120,7 +120,7 @@ def modal_limits(limit: Limit, start: EnergyStart) -> dict[int, float]:
 class WeylInTime:
     """Ψ(E, t) = ∫_E u(H, t) (H − E)^(ν−1)/Γ(ν) dH at the times of ``solved``; Ψ of order 0 is u.
 
-    ν is ``order`` = 0, ½, 1, …. Arrays are (elements, times) unless said otherwise.
+    ν is ``order`` = 0, ½, 1, ….
     """
 
     solved: Transition
@@ -128,7 +128,7 @@ class WeylInTime:
 
     @cached_property
     def nodes(self) -> Array:
-        """Ends and middles of the enriched solution's elements, layers at contact energies."""
+        """Element ends of the tables: enriched elements halved, layers at contact energies."""
         e = self.solved.enriched.elements
         halves = np.sort(np.append(e.nodes, 0.5 * (e.nodes[1:] + e.nodes[:-1])))
         return with_layers(halves, e.process.nonsmooth)
@@ -179,7 +179,7 @@ class WeylInTime:
 
     @cached_property
     def _error_of_u(self) -> Array:
-        """The largest error of u in each element."""
+        """The largest absolute error of u in each element, (elements, times)."""
         solved, e = self.solved, self.solved.elements
         # Points that are not interpolation points of the table of u.
         points = panel_rule(self.nodes, ENERGY_RULES[0] + 1)[0]
@@ -198,7 +198,7 @@ class WeylInTime:
 
     @cached_property
     def table_error(self) -> Array:
-        """The largest difference of the two tables of Ψ in each element, plus round-off."""
+        """The largest difference of both tables of Ψ plus round-off, (elements, times)."""
         x = panel_rule(self.nodes, sum(ENERGY_RULES))[0]
         _, coarse, fine = (table(x) for table in self.tables)
         distance = np.abs(coarse - fine).max(axis=1)

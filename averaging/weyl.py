@@ -87,11 +87,9 @@ class WeylIntegrals:
     """Tables of the Weyl integrals of order ν = ``order`` of u, and of the error of u.
 
     The finer table of u is the answer; its error is the largest relative difference to a coarser
-    table in each element, plus the error of the continuation of u beyond the last node: the
-    relative error ε of u in the last element, and the error of the rate of decrease there, 2 ε over
-    the element's length, times the mean distance ν/rate beyond. If the damping depends on the state
-    u is no exponential: then the elements of the finer table are half as long, and the whole
-    continuation counts as an error.
+    table in each element, plus the error of continuing u beyond the last node as an exponential. If
+    the damping depends on the state u is none: then the elements of the finer table are half as
+    long, and the whole continuation counts as an error.
     """
 
     solution: Solution

@@ -107,11 +107,11 @@ def density_of_energies(
     tol: float,
     added: bool,
 ) -> Density:
-    """Return the density of one or two energies of ``solution``, certified to the L1 ``tol``.
+    """Return the density of one or two energies of ``solution`` with its certificate.
 
-    ``panels`` are the panel nodes of each energy. ``relative_error`` maps energies to the relative
-    error of p from the density of states or the modes, which the solver does not include; if
-    ``added``, this error is added to the L1 error, too.
+    ``tol`` is the L1 tolerance, ``panels`` are the panel nodes of each energy. ``relative_error``
+    maps energies to the relative error of p from the density of states or the modes, which the
+    solver does not include; if ``added``, this error is added to the L1 error, too.
     """
 
     def of_model(p: Array, *energies: Array) -> Array:
@@ -157,7 +157,7 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
 
     The integrand of (11) is n/H near H = 0. This part is integrated in closed form, the rest on
     panels that are halved until the last Legendre coefficients fall below a share of the L1
-    tolerance ``tol``.
+    tolerance ``tol``. Raises ``NotCertified`` if p does not fall off at high energy.
     """
     probe, n = probe_process(process), process.degrees_of_freedom
     nodes = initial_nodes(probe, probe.extent(1e-2 * tol), process.nonsmooth)
@@ -171,7 +171,8 @@ def solve_by_quadrature(process: Process, *, tol: float = 1e-10) -> ZeroFluxDens
     def errors(lengths: Array, coefficients: Array) -> tuple[Array, Array]:
         """Return two absolute errors (panels,) of the integral of 2s/σ² − n/H over each panel.
 
-        The first is due to truncating the series ``coefficients``, the second to s and σ².
+        Panels have ``lengths`` (panels,). The first error is due to truncating the series
+        ``coefficients``, the second to s and σ².
         """
         truncated = lengths * np.sum(np.abs(coefficients[:, -2:, 0]), axis=1)
         return truncated, lengths * coefficients[:, 0, 1]

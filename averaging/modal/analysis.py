@@ -240,10 +240,9 @@ def _velocity_average(term: DampingTerm, shapes: Array, omega: Array) -> Array:
     """Return the coefficients of ⟨Π q_a^. Π v_a^. v_j H^energy Q̇_k⟩/H_k of ``term``, its factor 1.
 
     The array has the axes k, then one axis of modes for each factor H_m; ``shapes`` T (n, n) and
-    ``omega`` (n,) are the modes. With Q_m = √(2 H_m)/ω_m cos φ_m and Q̇_m = −√(2 H_m) sin φ_m,
-    exponential energies of means θ_m make the modes Gaussian, and E Π H_m^α_m = Π α_m! θ_m^α_m. So
-    the phase average has the coefficients of the Gaussian moment, a polynomial in θ by Isserlis'
-    theorem, divided by Π α_m!.
+    ``omega`` (n,) are the modes. Exponential energies of means θ_m make the modes Gaussian, and E Π
+    H_m^α_m = Π α_m! θ_m^α_m: the phase average has the coefficients of the Gaussian moment, a
+    polynomial in θ by Isserlis' theorem, divided by Π α_m!.
     """
     n = omega.size
     # Factors Q̇, q and v: displacements are correlated with displacements only, and so velocities.

@@ -30,8 +30,8 @@ CONVOLUTION_POINTS = 24
 1e-30."""
 BAND_GROWTH = 2.0**0.5
 """Factor by which the highest wave number s of a density's Fourier series is raised. The norm of
-the characteristic function φ beyond s is estimated by 1/(√2 −
-1) times its norm between s/√2 and s, which holds if |φ| falls as s^-2."""
+the characteristic function φ beyond s is estimated by 1/(√2 − 1) times its norm between s/√2 and
+s, which holds if |φ| falls as s^-2."""
 MAX_WAVES = 40_000
 """Largest number of waves of a Fourier series; the estimated contribution of further waves is part
 of the error."""
@@ -260,8 +260,8 @@ def state_density(
     is Σ_m √H_m (U_m cos φ_m + W_m sin φ_m) by X = T Q (14) and p_i = m_i Ẋ_i, with independent
     uniform phases, so that ``E e^{i s·x} = Π_groups E Π_m J0(√H_m |(s·U_m, s·W_m)|)``. The density
     is a Fourier series on its bounded support, without aliasing error; the omitted waves are
-    estimated from the outermost ring of the band. The transform does not increase an L1 error. The
-    certificate compares with ``tol``.
+    estimated from the outermost ring of the band. ``tol`` is the L1
+    tolerance of the certificate.
     """
     count = len(observable)
     rows = np.sqrt(2.0) * modes.state_shapes[state_rows(observable, modes.n)]

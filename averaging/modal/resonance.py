@@ -103,9 +103,7 @@ def resonances(
     """Return integers l and detunings |Σ l_i ω_i|, smallest detuning first, for ``omega`` ω (n,).
 
     These are all detunings up to ``limit`` with Σ|l_i| in ``sizes``, at most the even ``order``,
-    and the smallest detuning if it is above, at most ``MAX_CANDIDATES``; l and −l count once. Every
-    l is the difference of two vectors of half the order; sorting their frequencies makes the search
-    cheap for many modes.
+    and the smallest detuning if it is above, at most ``MAX_CANDIDATES``; l and −l count once.
     """
     unit = np.eye(omega.size, dtype=np.int64)
     units = np.vstack([unit, -unit, 0 * unit[:1]])

@@ -34,11 +34,11 @@ displacement."""
 
 
 def expansion_density(ladder: Ladder, observable: Observable, tol: float) -> Density:
-    """Return the density of ``observable`` by the finest solution of ``ladder``, to the L1 ``tol``.
+    """Return the density of ``observable`` by the finest solution of ``ladder``.
 
     The error at a point is the scaled maximum of the difference to the coarser solution nearby plus
-    the error of quadrature. If the ladder ended with an L1 error above ``tol``, the certificate
-    fails and gives the reason.
+    the error of quadrature. If the ladder ended with an L1 error above the tolerance ``tol``, the
+    certificate fails and gives the reason.
     """
     factor, error = ladder.factors[observable], ladder.errors[observable]
     panels, pdf = marginal(ladder.finest, observable)
@@ -158,7 +158,7 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
 
 
 def _sides(e: Expansion) -> list[tuple[str, float, float]]:
-    """Return the name and both sides of each identity."""
+    """Return (name, left side, right side) of each identity."""
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
     n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)

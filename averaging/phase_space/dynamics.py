@@ -156,9 +156,8 @@ def spectrum(e: Expansion, step: Step, *, row: int, at: Array, tol: float) -> An
     """Return the two-sided spectral density Re G(iω)/π, G(s) = ∫ q' (s − L)⁻¹ q' p, q' = q − E q.
 
     q is of mass ``row`` (0-based), ω are the frequencies ``at``; ``tol`` has no effect. On the
-    flank of a peak S may agree in two solutions although the peak has moved; Im G then does not. So
-    G is compared, too, without its first terms at high frequency σ_q²/s − σ_v²/s³, which do not
-    contribute to S: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
+    flank of a peak that has moved S may agree in two solutions, but Im G does not. So G is
+    compared, too, without its slow terms: G − σ_q² (s + κ)/(s² + κ s + κ²), κ = σ_v/σ_q.
     """
     w, place = np.unique(np.abs(at), return_inverse=True)
     A, (size, velocity) = resolvent.generator(e, odd=e.basis.mirrored), deviations(e, row)

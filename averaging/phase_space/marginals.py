@@ -22,7 +22,7 @@ each degree: 137 points integrate a Gaussian over 34 standard deviations to roun
 
 
 def moments(e: Expansion) -> tuple[Array, Array]:
-    """Return the mean (2n,) and covariance (2n, 2n) of (y, r, v), from the three lowest levels."""
+    """Return mean (2n,) and covariance (2n, 2n) of (y, r, v), see ``Frame``, from levels 0 to 2."""
     b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
     u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
     # First and second moments of (y, v, x); then of (y, r, v).
@@ -37,7 +37,10 @@ def moments(e: Expansion) -> tuple[Array, Array]:
 
 
 def linear_form(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
-    """Return offset, slope and direction with ``c`` = offset + slope y + direction·ζ, ζ = C⁻¹ z."""
+    """Return offset, slope, direction of ``c`` (q or p) = offset + slope y + direction·ζ.
+
+    y and z = C ζ are the variables of ``Reference``, ζ of unit covariance.
+    """
     at, unit = e.basis.frame.place(c)
     to, shift = e.basis.reference.to_state
     return unit * shift[at], unit * to[at, 0], unit * (to[at, 1:] @ e.factor)

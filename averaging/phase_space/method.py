@@ -201,10 +201,10 @@ class PhaseSpace(Theory):
         apart: dynamics.Apart = dynamics.largest,
         numbers: type = complex,
     ) -> Curve:
-        """Return the curve of the function ``name`` of ``dynamics``, to a relative tolerance.
+        """Return the curve of the function ``name`` of ``dynamics``, with its certificate.
 
-        This is ``asked.tol``, or ``default`` if that is None; ``apart`` measures the difference of
-        two answers, ``numbers`` is the type of the numbers of the elimination.
+        The relative tolerance is ``asked.tol``, or ``default`` if that is None; ``apart`` measures
+        the difference of two answers, ``numbers`` is the type of the numbers of the elimination.
         """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
         measure = partial(getattr(dynamics, name), row=row, at=asked.at, tol=tol)

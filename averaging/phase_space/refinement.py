@@ -109,7 +109,7 @@ class Ladder:
 
 @contextmanager
 def breakdowns() -> Iterator[None]:
-    """Raise ``NotCertified`` in the place of ``LinAlgError``."""
+    """Context, or decorator, that raises ``NotCertified`` in the place of ``LinAlgError``."""
     try:
         yield
     except np.linalg.LinAlgError as error:
@@ -117,7 +117,10 @@ def breakdowns() -> Iterator[None]:
 
 
 def credible_ratio(frame: Frame) -> float:
-    """Return the smallest credible ratio of a distance of solutions to the distance before it."""
+    """Return the smallest credible ratio of a distance of solutions to the distance before it.
+
+    ``LIGHT_RATIO`` if a mode's damping ratio is below ``LIGHT_DAMPING``, else ``LEAST_RATIO``.
+    """
     squares, modes = np.linalg.eigh(frame.stiffness)
     own = np.sum(modes * (frame.damping @ modes), axis=0)
     light = not frame.system.damping_terms and np.any(own < 2.0 * LIGHT_DAMPING * np.sqrt(squares))
@@ -252,6 +255,6 @@ def fit_reference(frame: Frame, about: Reference) -> Reference:
 
 
 def reference_by_moments(e: Expansion) -> Reference:
-    """Return the reference with the first and second moments of the solution ``e``."""
+    """Return ``with_moments`` of the moments of ``e``, the mean set to 0 if ``e`` is mirrored."""
     mean, covariance = moments(e)
     return with_moments(e.basis.frame, mean * (not e.basis.mirrored), covariance)

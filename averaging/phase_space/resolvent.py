@@ -33,9 +33,10 @@ DISCS = 40
 
 
 def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return A on functions that change sign under reflection if ``odd``, else on the others.
+    """Return the chain of du/dt = A u, u the coefficients of a density expanded as ``e``.
 
-    ``closed``: see ``chain_of``.
+    For densities that change sign under reflection if ``odd``, else for the others, or for all if
+    ``e`` is not mirrored; ``closed``: see ``chain_of``.
     """
     b = e.basis
     return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
@@ -59,8 +60,8 @@ def solve_shifted(A: Chain, shift: complex, step: Step) -> Callable[[Array], Arr
 def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
     """Return the coefficients in A of q' times the reference density, and of q' p, q' = q − E q.
 
-    The scalar product of u with the first is ∫ q' u. By ζ_j He_k = √k_j He_(k−e_j) +
-    √(k_j + 1) He_(k+e_j); terms outside the functions of A are orthogonal to these and omitted.
+    q is of mass ``row`` (0-based). The scalar product of u with the first is ∫ q' u. Terms
+    outside the functions of A are orthogonal to these and omitted.
     """
     b, space, q = e.basis, e.space, Coordinate("q", row)
     (offset, slope, direction), (at, unit) = linear_form(e, q), b.frame.place(q)
@@ -82,8 +83,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
     """Return c·(iω − A)⁻¹ b at ascending frequencies ω >= 0, ``at``, and the residual over |u|.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the equation
-    (1 + (iω − s) B) u = B b is solved in the Krylov space of B and B b by Galerkin's method. The
-    first s is 0, each further s in the middle of frequencies not yet solved for. Raises
+    (1 + (iω − s) B) u = B b is solved in the Krylov space of B and B b by Galerkin's method. Raises
     ``LinAlgError`` if an elimination fails.
     """
     values, worst = np.zeros(at.size, dtype=complex), 0.0

@@ -46,7 +46,7 @@ LINE_ENDS = (1.6, 16.0)
 most at 16 β₀. Measured with Hertz stops and n = 4 to 30 masses, the rest of the integral is about
 (1.6/end)^m, with m = 2n, and m = 2n + 3 if the systems with one contact mass are subtracted."""
 LONG_LINE = 10.0
-"""End of a line over β₀ beyond which the systems with one contact mass are subtracted."""
+"""Im β/β₀ at the end of a line beyond which the systems with one contact mass are subtracted."""
 CANCELLATION = (0.4, 3.5)
 """ln of the largest term over the sum, at the lowest and highest energy that a line of β serves.
 Without any cancellation the end of the line would omit most."""
@@ -58,13 +58,13 @@ LINE_SAFETY = 1.5
 25 random chains with two contact masses, 3 to 20 masses and stops of 1e-2 to 1e5 of the springs'
 stiffness the true error, against integrals along rays, was at most 0.8 of the sum."""
 CHECKED = 4
-"""Equal parts of a line, at whose ends the rule over displacements is compared with a lower
-rule."""
+"""Equal parts of a line of β, at whose ends the ``CHAIN_RULES`` over displacements are compared."""
 ROWS = 32
 """Points of one mass at which the integral over the next mass is evaluated at once, for the cache:
 all at once takes three times as long."""
 LINE_WINDOW = (0.3, 3.6)
-"""Share of a line on which the window is 1, and steepness of its fall to 0 at the end."""
+"""Share of a line of β on which the window, a factor of the integrand, is 1; steepness of its fall
+to 0 at the end."""
 MOST_RAY_MASSES = 10
 """Largest number of masses, plus a quarter of the highest degree of damping terms, for which two
 contact masses are integrated along rays. Beyond, v^a r^k is so narrow that the error of 24 points
@@ -207,7 +207,7 @@ class PartitionLines:
         return both
 
     def _end(self, ratio: float) -> float:
-        """Return Im β at the end of a line over β₀; ``ratio`` is R at its beginning."""
+        """Return Im β/β₀ at the end of a line Re β = β₀; ``ratio`` is R at its beginning."""
         order = 2.0 * self.n + (3.0 if self.alone else 0.0)
         return float(min(LINE_ENDS[0] * (MISSING * ratio) ** (-1.0 / order), LINE_ENDS[1]))
 

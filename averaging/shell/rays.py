@@ -80,7 +80,7 @@ class EnergyShell:
         return Stops(reach, touch, stiffness, exponent, law.astype(int))
 
     def nearest(self, directions: Array) -> Stops:
-        """Return the stops (rays, stops) in the order in which rays of ``directions`` meet them."""
+        """Return the stops (rays, stops), nearest first, along ``directions`` (rays, c)."""
         reach = directions @ self.stops.reach.T
         touch = np.full(reach.shape, np.inf)
         np.divide(self.stops.touch, reach, out=touch, where=reach > 0.0)
@@ -103,7 +103,7 @@ class EnergyShell:
 
     @cached_property
     def corners(self) -> Array:
-        """Points y (points, c) at which stops of two different contact masses are just touched."""
+        """Points y (points, c) that just touch stops of two contact masses; none unless c = 2."""
         rows, stops = self.stops.reach, self.system.stops
         corners = [
             np.linalg.solve(rows[list(pair)], self.stops.touch[list(pair)])
@@ -276,11 +276,10 @@ def _gain(low: float, width: float, top: float, ray: Stops, s: int, U: Any, g: A
 
 @njit_inline
 def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: Any) -> float:
-    """Return x > 0 with V(start + x) − V(start) = ``height``, with the first ``k`` stops engaged.
+    """Return x > 0 with V(``start`` + x) − V(``start``) = ``height``; NaN without convergence.
 
-    NaN if the iteration does not converge. Newton's method in logarithms: the rise of V is a sum of
-    positive powers of x, so its logarithm is convex in ln x, and the iterates descend to the root
-    from the root without stops.
+    V is ½ r² plus the energy U (force ``g``) of the first ``k`` stops of ``ray``. Newton's method
+    in logarithms converges monotonically, as the ln of the rise of V is convex in ln x.
     """
     x: float = 2.0 * height / (start + np.sqrt(start * start + 2.0 * height))
     if k == 0:
@@ -309,9 +308,9 @@ def _turning_point(height: float, start: float, k: int, ray: Stops, U: Any, g: A
 
 @njit_inline
 def _bent(r: float, k: int, c: int, ray: Stops, U: Any, g: Any, bend: Any) -> float:
-    """Return V ((c−1)/(r V_r) − V_rr/V_r²) at the distance ``r``, ``k`` stops engaged.
+    """Return V ((c−1)/(r V_r) − V_rr/V_r²) at ``r``; V, ``k``: see ``_turning_point``.
 
-    V is summed here: H (1 − v) would cancel near rest.
+    ``bend`` is the slope of the laws. V is summed here: H (1 − v) would cancel near rest.
     """
     V, steepness, curvature = 0.5 * r * r, r, 1.0
     for s in range(k):

@@ -121,7 +121,10 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` smallest sums Σ k_i c*_ii > 0, k_i = 0, 1, …, to a relative ``tol``."""
+    """Return the ``count`` smallest sums Σ k_i c*_ii > 0, k_i = 0, 1, …
+
+    ``tol`` is the relative tolerance. Raises ``NotApplicable`` for damping terms.
+    """
     rates = np.zeros(1)
     for m in range(modes.n):
         multiples = _mode(modes, m).c * np.arange(count + 1.0)
@@ -139,7 +142,7 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
 
 
 def _equal_modes(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
-    """Return the sum of the energies if all modes have equal damping and noise, else None.
+    """Return the process of the sum of all H_m if damping and noise are equal, else None.
 
     A relative difference up to 1e-12 is accepted and counts as an error.
     """

@@ -63,7 +63,7 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
 
 
 def relaxation(modes: ModalAnalysis, count: int, *, tol: float) -> Rates:
-    """Return the ``count`` slowest rates above 0 of two modal energies, to the relative ``tol``.
+    """Return the ``count`` slowest rates above 0 of two modal energies, relative tolerance ``tol``.
 
     Raises ``NotApplicable`` unless there are two modes.
     """

@@ -105,7 +105,7 @@ class Basis:
         return np.asarray(self.continuous.T @ (self.at_points[0].T @ self.weights))
 
     def density(self, y: Array) -> Array:
-        """Return w at ``y``, 0 outside the support."""
+        """Return the weight w at ``y``, ∫ w dy = 1; 0 outside the support."""
         inside = (y >= self.nodes[0]) & (y <= self.nodes[-1])
         log_w = _log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
         return np.where(inside, np.exp(log_w - self.log_norm), 0.0)

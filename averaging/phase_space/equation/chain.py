@@ -56,7 +56,7 @@ class Chain:
         return slice(int(self.ends[n - 1]) if n else 0, int(self.ends[n]))
 
     def cuts(self, n: int) -> Integers:
-        """Return the ascending indices in stage ``n`` at which the degree in the others changes."""
+        """Return the ascending indices in stage ``n`` at which level or ``Space.others`` change."""
         group = self.space.level * (self.space.others.max() + 1) + self.space.others
         starts, span = np.sort(self.places[np.diff(group, prepend=-1) > 0, 0]), self.span(n)
         return np.asarray(starts[(starts > span.start) & (starts < span.stop)] - span.start)
@@ -222,13 +222,16 @@ def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:
 
 
 def damping_degree(frame: Frame) -> int:
-    """Return r, the highest degree in z of a damping term without its factor v_j, or 0."""
+    """Return r, the highest degree of a damping term without its factor v_j; 0 without terms.
+
+    Powers of the contact displacement do not count, H counts 2.
+    """
     terms, contact = frame.system.damping_terms, frame.contact + 1
     return max((t.degree - dict(t.q).get(contact, 0) for t in terms), default=0)
 
 
 def levels_per_stage(frame: Frame) -> int:
-    """Return the number s of levels of a stage: s >= r, 2 s >= r + 2, r = ``damping_degree``."""
+    """Return the levels of a stage: the least s >= r with 2 s >= r + 2, r = ``damping_degree``."""
     return max(damping_degree(frame), (damping_degree(frame) + 3) // 2)
 
 
@@ -237,9 +240,8 @@ def state_polynomials(
 ) -> tuple[list[Polynomial], list[Polynomial], list[Polynomial]]:
     """Return displacements (y, r), velocities v and forces f as polynomials in ζ, z = ``C`` ζ.
 
-    dv contains −f dt, f the force of the damping terms over √m.
-
-    The matrices are exact on degrees of ``space`` that multiplication does not lead out of it.
+    dv contains −f dt, f the force of the damping terms over √m. The matrices are exact on degrees
+    of ``space`` that multiplication does not lead out of it.
     """
     frame, reference = functions.frame, functions.reference
     n, place = frame.n, frame.order.index
@@ -290,7 +292,11 @@ def polynomial_sum(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynom
 def damping_terms(
     functions: Basis, C: Array
 ) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
-    """Return the terms A ⊗ F of −Σ_ij ``C``⁻¹_ji a_j⁺ f_i, and the space that the A act on."""
+    """Return a space, and (A, F) of the terms A ⊗ F of −Σ_ij ``C``⁻¹_ji a_j⁺ f_i.
+
+    f are the forces of ``state_polynomials``. A acts on the degrees of the space, F (``Between``)
+    on the functions of y.
+    """
     degrees, beyond = functions.degrees, damping_degree(functions.frame) + 1
     space = space_to(degrees.total + beyond, degrees.others + beyond, len(C))
     inverse: Array = np.asarray(np.linalg.inv(C), dtype=float)
@@ -310,7 +316,7 @@ def damping_terms(
 
 
 def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
-    """Return the weights of the basis's points times y and U(y) to the given ``powers``."""
+    """Return weight times y^m U(y)^l at the points of the basis, (points,), ``powers`` (m, l)."""
     y = functions.points
     energy = functions.frame.contact_energy(y) ** powers[1]
     return np.asarray(functions.weights * y ** powers[0] * energy)

@@ -128,7 +128,7 @@ class Space:
 
     @cached_property
     def up(self) -> tuple[Matrix, ...]:
-        """a_j⁺ of each variable, contact velocity first, truncated; the transpose is a_j."""
+        """a_j⁺ of each ζ_j, contact velocity first, (degrees, degrees); the transpose is a_j."""
         size, up = self.level.size, []
         spans = [self.span(n) for n in range(int(self.level[-1]) + 1)]
         for A in (None, *self.raising_others):

@@ -57,7 +57,10 @@ class Expansion:
     residual: float
 
     def functions(self, n: int, y: Array) -> Array:
-        """Return u_k at ``y`` (points,) for all k of level ``n``, (degrees, points)."""
+        """Return u_k, the factors of the Hermite functions of level ``n``, at ``y`` (points,).
+
+        The result is (degrees, points).
+        """
         b = self.basis
         values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)
@@ -169,10 +172,9 @@ def eliminate(
 
     Returns the function that solves the equations, and a factor. Without a shift the equation of
     the function 1 is 0 = 0 and is replaced by factor · mass = right; the factor is the size of the
-    terms of 1 in the equations, as the largest entry of A would make round-off a thousand times
-    larger. With a shift the factor is 0. ``kind`` is the type of the numbers. Unless ``paired``,
-    the coupling of stages to the second stage below is omitted. ``step`` is called with the
-    completed share of the work.
+    terms of 1 in the equations. With a shift it is 0. ``kind`` is the type of the numbers. Unless
+    ``paired``, the coupling of stages to the second stage below is omitted. ``step`` is called with
+    the completed share of the work.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)

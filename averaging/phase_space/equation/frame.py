@@ -189,7 +189,7 @@ def gaussian_start(frame: Frame) -> Reference:
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:
     """Return F, G and (h₀, h₁) of dz = (F z + h(y)) dt + noise of covariance 2 G dt, dy = z₁ dt.
 
-    h(y) is ``h₀ + h₁ y − g(y) e₁``; the third result is (2, 2n − 1).
+    z = (v, x), see ``Reference``; h(y) is ``h₀ + h₁ y − g(y) e₁``, (h₀, h₁) (2, 2n − 1).
     """
     n, K, c = frame.n, frame.stiffness, frame.damping
     a, x0 = reference.slope, reference.offset

@@ -67,7 +67,7 @@ class Elements:
     free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
-        """Return the vector of the functional Σ_i weights_i u(q_i, v_i), all within the limit."""
+        """Return the vector of Σ ``weights`` u(``q``, ``v``) over states within the limit."""
         m, n = self.mesh, self.mesh.degree + 1
         places, values = [], []
         for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
@@ -96,11 +96,11 @@ class Elements:
 
     @cached_property
     def mean(self) -> Array:
-        """Coefficients of T, up to a factor that round-off changes if failure is rare."""
+        """Coefficients (unknowns,) of the mean time; a factor is lost if failure is rare."""
         return self.solve(self.load)
 
     def moments(self, start: Array) -> tuple[float, float, float]:
-        """Return E T and E T² of the functional ``start``, and the relative mass lost to round-off.
+        """Return E T and E T² from ``start``, see ``at``, and the relative mass lost to round-off.
 
         y = K⁻ᵀ ``start`` is the density of the time spent, up to a factor that round-off changes if
         failure is rare. The identity y'(−L 1) = start'1 determines the factor; its difference from
@@ -140,7 +140,7 @@ class Elements:
         return abs(float(mass - start @ self.one))
 
     def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
-        """Return P(T <= t) at ascending ``times`` > 0, and its change by the last Krylov vectors.
+        """Return P(T <= t) and its change by the last Krylov vectors at ascending ``times`` > 0.
 
         ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
         Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,

@@ -151,7 +151,7 @@ def _level_results(
 
 
 def _compare_levels(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:
-    """Return the finer results at ``times`` as an answer, certified to the tolerance ``tol``.
+    """Return the finer results at ``times`` as an answer with a certificate for ``tol``.
 
     The errors are the difference to the coarser results times ``DISTANCE_FACTOR``, and round-off.
     """
