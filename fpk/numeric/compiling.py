@@ -98,8 +98,7 @@ def interruptible_compile(compile_for: Callable[[Any], Any]) -> Callable[[Any], 
     LLVM ignores signals for many seconds, while a thread that waits for another receives them. The
     wrapped function waits for the thread, with the clock ``working_time`` stopped, and returns or
     raises what ``compile_for`` does. It raises ``KeyboardInterrupt`` if ``abandon`` is called
-    meanwhile, and as long as an abandoned function is still being compiled: numba compiles one
-    function at a time.
+    meanwhile, and as long as an abandoned function is still being compiled.
     """
 
     def compiled(signature: Any) -> Any:

@@ -75,10 +75,8 @@ class Piecewise:
     error: Array | None = None
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
-        """Return f(x) exp(``log_factor``) at ``x`` of any shape: that shape, then that of a value.
-
-        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is not multiplied by it.
-        """
+        """Return f(x) exp(``log_factor``), of the shape of ``x`` followed by the shape of a value.
+        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is returned without it."""
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)

@@ -56,11 +56,11 @@ def element_basis(nodes: tuple[Array, ...], degree: int, points: int) -> Basis:
 def coefficients(
     process: Process, basis: Basis, *, flux_form: bool
 ) -> tuple[dict[str, Array], Array]:
-    """Return the fields of ``flux`` at the points of ``basis``, and ln of the unit of T.
+    """Return the fields of ``flux`` for ``process`` at the points of ``basis``, and ln of T's unit.
 
-    "F" is (d, elements, points), "b" (d, d, elements, points), and "states" (elements, points) is T
-    in the unit: its largest value in each element, with ln (elements,). In the flux form, for one
-    energy only, p = T u; otherwise p = u and T = 1.
+    "F" is (d, elements, points), "b" (d, d, elements, points), "states" (elements, points); the
+    unit is the largest T in each element, its ln (elements,). In the flux form, for one energy
+    only, p = T u; otherwise p = u and T = 1.
     """
     x = np.asarray(basis.global_coordinates())
     d, shape = len(x), basis.dx.shape
@@ -142,7 +142,7 @@ def plane_null_function(
 def solve_by_scikit_fem(
     process: Process, *, tol: float, degree: int = SCIKIT_DEGREE, marked: float = 0.0
 ) -> StationarySolution | PlaneSolution:
-    """Return the stationary density to the L1 tolerance ``tol`` by elements of one ``degree``.
+    """Return the stationary density of ``process`` by elements of ``degree``, to the L1 ``tol``.
 
     Meshes are refined until the answer is certified or matrices would be too large. For one energy
     the first mesh is the mesh of the fast solver, and all its elements are halved. For two energies

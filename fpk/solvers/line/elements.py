@@ -27,10 +27,9 @@ from fpk.system.process import Coefficients, Process, log_density_slope_error
 ENRICHMENT = 2
 """Degree of the enriched solution minus degree of the answer; their distance gives the error."""
 ELEMENT_POINTS = 4
-"""Gauss points of an element, less its degree; twice this number if T ~ H^(n−1) is steep, n > 2.
-Fewer points there give answer and enriched solution a common error (n from 7 to 40: up to four
-times their distance). More points elsewhere hide the error by a root of H in T from their distance:
-for a stop that touches at rest the error was 8 times the stated error."""
+"""Gauss points of an element, less its degree; twice this number if T ~ H^(n−1) is steep, n > 2, as
+fewer give answer and enriched solution a common error. For n <= 2 more points hide the error by a
+root of H in T: for a stop that touches at rest the error was 8 times the stated error."""
 CONTACT_POINTS = 10
 """Gauss points of an element that begins at a contact energy, less its degree."""
 NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
@@ -48,9 +47,7 @@ class Rule(NamedTuple):
 
     ``contact_…`` are Gauss points in (H − H_c)^⅓ of an element that begins at a contact energy H_c:
     first the rule for the mass of the answer, then a rule of twice as many points for the enriched
-    solution. T is smooth in √(H − H_c), but stiff contact leaves a layer just above H_c, and with
-    little or no clearance T has other roots and both rules converge algebraically: the finer rule
-    then has less than half of the error, for any power of H − H_c from ½ on.
+    solution, which has less than half of the error for any power of H − H_c in T from ½ on.
     """
 
     share: Array

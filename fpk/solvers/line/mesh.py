@@ -53,7 +53,8 @@ the first output time; at a start in units of ½ b' t if that is longer."""
 FAST = 20.0
 """Largest |z| t of Laplace variables z that contribute to a density at the time t."""
 LARGEST_VALUE = 100.0
-"""Largest value at H = 0 of polynomials of norm 1 in the weight H^(n−1): it amplifies round-off."""
+"""Largest value at H = 0 of orthogonal polynomials of weight H^(n−1), over the value at the other
+end: it amplifies round-off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +78,8 @@ class Probe:
         return np.append(0.0, steps.cumsum())
 
     def extent(self, tail: float) -> float:
-        """Return the energy above which p H stays below ``tail`` times its maximum. Raises
-        ``NotCertified`` if p H does not fall so far, or coefficients overflow."""
+        """Return the energy above which p H, p the stationary density, stays below ``tail`` times
+        its maximum. Raises ``NotCertified`` if it never does, or if coefficients overflow."""
         if not np.isfinite(self.log_mass).all():
             raise NotCertified(OUT_OF_RANGE)
         energy, rate = self.energy, self.rate
@@ -115,8 +116,8 @@ class Probe:
 
 
 def probe_process(process: Process) -> Probe:
-    """Return a probe so fine that no maximum of p lies hidden between two of its energies. Raises
-    ``NotCertified`` if the density does not fall off at the highest energies."""
+    """Return a probe of ``process`` so fine that no maximum of p lies hidden between two energies.
+    Raises ``NotCertified`` if the density does not fall off at the highest energies."""
     energy = process.energy_scale * PROBE_ENERGIES
 
     def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
@@ -200,8 +201,8 @@ def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Arr
 def first_degree(degree: int, n: int) -> int:
     """Return the degree of the element at H = 0, where T ~ H^(n−1), at most ``degree``.
 
-    The orthogonal polynomial of degree k in the weight H^(n−1) has the value (n+k−1 over k) at 0,
-    which must not exceed ``LARGEST_VALUE``.
+    The orthogonal polynomial of degree k in the weight H^(n−1), 1 at the right end, has the value
+    (n+k−1 over k) at 0, which must not exceed ``LARGEST_VALUE``.
     """
     return max(
         k for k in range(1, degree + 1) if k == 1 or math.comb(k + n - 1, k) <= LARGEST_VALUE
@@ -225,9 +226,9 @@ def time_nodes(
 ) -> Array:
     """Return nodes from 0 to ``end`` for elements of ``degree`` in time.
 
-    They are the nodes for the stationary density; nodes around the energies in ``fine``, pairs
-    (energy, length of the elements beside it), with lengths that grow by ``LENGTH_RATIO``; and the
-    nodes ``more``. One of two nodes that nearly coincide is dropped.
+    They are the nodes for the stationary density of ``process``; nodes around the energies in
+    ``fine``, pairs (energy, length of the elements beside it), with lengths that grow by
+    ``LENGTH_RATIO``; and the nodes ``more``. One of two nodes that nearly coincide is dropped.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)

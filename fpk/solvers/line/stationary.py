@@ -99,8 +99,8 @@ class StationarySolution:
         return self._error(energy, np.zeros(np.shape(energy)))
 
     def _error(self, energy: Array, factor: Array) -> Array:
-        """Estimated absolute error of u e^``factor`` at ``energy``, with local and common errors;
-        ``factor`` has the shape of ``energy``."""
+        """Estimated absolute error of u e^``factor``, u = p_h/T, at ``energy``, with local and
+        common errors; ``factor`` has the shape of ``energy``."""
         log_error, relative = self._of_elements
         x = np.asarray(energy, dtype=float)
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.nodes.size - 2)
@@ -127,8 +127,7 @@ class StationarySolution:
         The points are equidistant in the angle θ, H ~ 1 − cos θ, in which the distance to the
         enriched solution has half-waves of equal length; the largest distance of √T u within two
         half-waves is taken. Elimination of m unknowns leaves a round-off of up to m^(3/2) EPS
-        (measured) of the largest p, everywhere in the element. At a node where p is much smaller
-        this changes the scale of all elements on the side with less mass.
+        (measured) of the largest p in the element, which rescales the elements of less mass.
         """
         count = HALF_WAVE * (self.enriched.coefficients.shape[1] - 1)
         t = -np.cos(np.pi * np.arange(count + 1) / count)
@@ -159,7 +158,7 @@ class StationarySolution:
 def solve_stationary(
     process: Process, *, tol: float = 1e-10, degree: int | None = None
 ) -> StationarySolution:
-    """Return the stationary density to the L1 tolerance ``tol``.
+    """Return the stationary density of ``process``, of one energy, to the L1 tolerance ``tol``.
 
     ``degree`` of the elements follows from ``tol`` unless given. The certificate says if the
     tolerance was not reached. Raises ``NotCertified`` if no stationary density exists.
@@ -199,8 +198,9 @@ def solve_on_mesh(
     tol: float = np.inf,
     null_vectors: NullVectors | None = None,
 ) -> StationarySolution:
-    """Return the solution by elements of ``degree`` between ``nodes``, certified to the L1 ``tol``.
-    For ``null_vectors`` see ``solve_elements``. Raises as ``probe_process`` does."""
+    """Return the stationary density by elements of ``degree`` between ascending ``nodes``, with a
+    certificate for the L1 tolerance ``tol``. For ``null_vectors`` see ``solve_elements``. Raises as
+    ``probe_process`` does."""
     elements = solve_elements(process, nodes, degree, null_vectors)
     return _join_and_judge(process, probe_process(process), nodes, elements, degree, tol)[0]
 

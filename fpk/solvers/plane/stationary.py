@@ -37,7 +37,7 @@ REFIT_ERROR = 1e-4
 
 
 def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
-    """Return the stationary density of two energies to the L1 tolerance ``tol``.
+    """Return the stationary density of ``process``, of two energies, to the L1 tolerance ``tol``.
 
     Zero flux is natural far out and at H_i = 0, where the normal diffusion vanishes. If no attempt
     is certified, the attempt with the smallest error estimate is returned. Raises ``NotCertified``

@@ -108,8 +108,8 @@ def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
 def flux_free_weight(process: Process) -> Weight:
     """Return w fitted to the slopes of p for zero flux everywhere, ∇ ln p = b⁻¹ (2s − ∇·b).
 
-    If p or the fit does not fall off, Φ = Σ H_i/``energy_scales``[i]. Raises ``NotCertified`` if b
-    is singular off the axes.
+    s, b are drift and diffusion of ``process``. If p or the fit does not fall off, Φ is
+    Σ H_i/``energy_scales``[i]. Raises ``NotCertified`` if b is singular off the axes.
     """
     scales = np.array(process.energy_scales)
     points = np.stack(np.broadcast_arrays(PROBE[:, None], PROBE), axis=-1).reshape(-1, 2)
@@ -189,7 +189,8 @@ def last_index(inside: Flags, axis: int) -> int:
 
 @lru_cache
 def _power_pairs(degree: int) -> Integers:
-    """Pairs of powers (coefficients, 2) up to the total ``degree``, or ``MAX_WEIGHT_DEGREE``."""
+    """Pairs of powers (coefficients, 2), by rising total, up to the total ``degree`` and at most
+    ``MAX_WEIGHT_DEGREE``."""
     totals = range(min(degree, MAX_WEIGHT_DEGREE) + 1)
     return np.array([(i, total - i) for total in totals for i in range(total + 1)])
 
@@ -201,11 +202,11 @@ def _power_columns(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 
 
 def fits_by_degree(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
-    """Yield least-squares fits of ``right`` (rows,) of rising total degree, with relative misfits.
+    """Yield least-squares fits of ``right`` (rows,) of total degree 1, 2, …, with relative misfits.
 
     ``columns`` (rows, coefficients) are the values of the monomials with the ``powers``
-    (coefficients, 2), by degree. One QR factorisation serves all fits; they end where columns are
-    linearly dependent.
+    (coefficients, 2), by degree. A fit is (degree + 1, degree + 1), [i, j] for x^i y^j. The fits
+    end at linearly dependent columns.
     """
     R = np.asarray(np.linalg.qr(np.column_stack([columns, right]), mode="r"))
     total = powers.sum(axis=1)

@@ -28,7 +28,7 @@ from fpk.solvers.plane.elements import shape_functions
 from fpk.system.process import Coefficients, Process, log_density_slope_error
 
 MOST_ROUNDS, MOST_ELEMENTS = 12, 1_000
-"""Largest number of meshes that are solved on, and number of elements above which none is cut."""
+"""Largest number of meshes of one solution, and number of elements above which none is cut."""
 TAIL_SHARES = (1e-3, 1e-8)
 """Masses beyond the meshes of the answer and of the enriched solution, over the L1 tolerance."""
 Settings = dict[str, str | float | int]
@@ -85,7 +85,7 @@ class Elements:
 
     @cached_property
     def log_u(self) -> Array:
-        """ln(π/T) at the nodes, (elements + 1,), 0 at H = 0."""
+        """ln(π/T) at the nodes, (elements + 1,), 0 at H = 0; π is the stationary density."""
         return np.append(0.0, np.cumsum(self.log_rise.sum(axis=1)))
 
     @cached_property
@@ -100,7 +100,7 @@ class Elements:
 
     @cached_property
     def log_mass(self) -> Array:
-        """ln ∫π over each element, (elements,), π/T = 1 at H = 0."""
+        """ln of the stationary mass ∫π in each element, (elements,), with π/T = 1 at H = 0."""
         return np.asarray(self.log_scale + np.log(self.load[:, :2].sum(axis=1)))
 
     @property
@@ -128,7 +128,8 @@ class Elements:
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
     def functions(self, x: Array) -> tuple[Integers, Array]:
-        """Return the element of each point ``x``, and its f_i there, (points, functions)."""
+        """Return the element of each point ``x`` (points,), and the values of its functions h_0,
+        h_1, v_j there, (points, functions)."""
         k, t = self.within(x)
         return k, np.einsum("px,xpi->xi", shape_functions(self.degree, t)[0], self.shapes[k])
 
@@ -209,8 +210,8 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
 def chain_elements(
     process: Process, left: Array, right: Array, degree: int, *, enriched: bool = False
 ) -> Elements:
-    """Return the elements of ``degree`` from ``left`` to ``right``, ascending (elements,). The
-    element at H = 0 may have a lower degree, which is one higher if ``enriched``."""
+    """Return the elements of ``degree`` for ``process`` from ``left`` to ``right``, ascending
+    (elements,). At H = 0 the degree may be lower, and is then one higher if ``enriched``."""
     kind = np.isin(left, process.nonsmooth) + 2 * (left == 0.0)
     alike = [np.flatnonzero(kind == k) for k in np.unique(kind)]
     own = [_elements_of_kind(process, left[k], right[k], degree, enriched=enriched) for k in alike]
@@ -291,7 +292,7 @@ def degree_for(tol: float) -> int:
 def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLike = ()) -> Pair:
     """Return elements of ``degree`` between ``nodes``, and the elements of the enriched solution.
 
-    The enriched solution has ``degree`` + ``ENRICHMENT`` and the further nodes ``beyond`` the last.
+    The latter have ``degree`` + ``ENRICHMENT`` and the further nodes ``beyond`` the last.
     """
     every, finer = np.append(nodes, beyond), degree + ENRICHMENT
     answer = chain_elements(process, nodes[:-1], nodes[1:], degree)

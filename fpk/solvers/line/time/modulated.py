@@ -47,7 +47,7 @@ some of these numbers that are not seen by refinement."""
 def quiet_until(modulation: Modulation, source: Source) -> float:
     """Return the time until which the density that starts from ``source`` is constant.
 
-    From rest it is constant until the noise begins, inf if it never does; from a density until 0.
+    From rest that is the time at which noise begins, inf if it never does; otherwise it is 0.
     Raises ``InvalidInput`` for an energy > 0 if there is no noise at first: the energy decays.
     """
     if source.process is not None:
@@ -122,7 +122,7 @@ def halve_steps(
     size: Callable[[Array, Array], float],
     tol: float,
 ) -> tuple[Transition, list[Carried]]:
-    """Halve all steps until the numbers of ``carried(elements, level)`` change by little enough.
+    """Halve all steps until the numbers of ``carried(elements, level)`` hardly change.
 
     That is ``DISTANCE_FACTOR`` · ``size(changes, numbers)`` <= ``tol``, or the last level of
     ``STEP_HALVINGS``. Returned are the density on adapted elements, started from ``pair``, with the
@@ -179,7 +179,7 @@ def transition_with_modulation(
     e, (own, _, enriched) = solved.elements, (each[0] for each in found)
 
     def apart(x: Array) -> Array:
-        """|change of p| at ``x`` by steps twice as long, plus |change| by a higher degree."""
+        """|Change of p|, (times, points), at ``x`` by doubled steps, plus |change| by degree."""
         p, in_longer, in_both = (each[0].density(x)[0] for each in found)
         return np.asarray(np.abs(p - in_longer) + np.abs(in_longer - in_both))
 

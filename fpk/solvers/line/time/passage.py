@@ -100,11 +100,11 @@ class FirstPassage:
         return T, error, V, V_error + self.round_off * 2.0 * (V + of_U + T * of_T)
 
     def rate(self) -> tuple[float, float]:
-        """Return the failure rate, the smallest eigenvalue λ of −L, and its error.
+        """Return the failure rate, the smallest eigenvalue λ of −L, and its absolute error.
 
         Power iteration with (−L)⁻¹, a positive operator: the largest and smallest value of
-        f/(−L)⁻¹f bound λ (Barta), however small λ is. The relative error of the Rayleigh quotient
-        is the square of the relative distance of these bounds: round-off if that is 1e-9.
+        f/(−L)⁻¹f bound λ (Barta). The relative error of the Rayleigh quotient is the square of the
+        relative distance of these bounds.
         """
         found = []
         for e, f in zip(self.pair, self.means, strict=True):
@@ -125,8 +125,8 @@ class FirstPassage:
         return value, distance + left + other + 2.0 * self.relative * value
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
-        """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the size of terms.
-        Both arrays are (2, times, points)."""
+        """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the sum of the sizes
+        of its terms: two arrays (2, times, points)."""
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -258,12 +258,11 @@ def passage_with_modulation(
     """Return the first passage of ``limit`` from ``source`` under modulated noise.
 
     ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
-    mass of the forward solution with p = 0 at the limit. The failure rate is that under the noise
-    after the end of the modulation. If this noise is 0, systems that survive until then never fail:
-    moments are infinite, and there is no failure rate. For ``tol`` see ``chain_first_passage``;
-    errors are by elements of a higher degree and by steps twice as long. Raises ``NotApplicable``
-    if damping feeds energy in at the limit while there is no noise, and as ``chain_first_passage``
-    does.
+    mass of the forward solution with p = 0 at the limit. The failure rate is the rate under the
+    constant noise after the end of the modulation. If this noise is 0, systems that survive until
+    then never fail: moments are infinite, and there is no failure rate. For ``tol`` see
+    ``chain_first_passage``. Raises as that function and ``quiet_until`` do, and ``NotApplicable``
+    if there is never any noise, or if damping feeds energy in at the limit while there is none.
     """
     unit, last = modulation.largest, modulation.last
     quiet = modulated.quiet_until(modulation, source)

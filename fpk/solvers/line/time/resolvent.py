@@ -70,7 +70,7 @@ def contours(times: Array, *, more: int = 0) -> list[tuple[Integers, Complexes, 
 
 
 def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
-    """Return the admittances of the elements at the Laplace variables ``z`` (points,).
+    """Return the admittances of the elements ``e`` at the Laplace variables ``z`` (points,).
 
     Arrays (elements, points), with all elements below eliminated: ``series`` is the conductance
     from end to end, ``shunt`` (elements, 2, points) the admittances to ground at both ends,
@@ -138,7 +138,7 @@ def inverse_laplace(
     e: Elements, load: Array, times: Array, *, held: float | None = None, more: int = 0,
     density: bool = True,
 ) -> ChainDensity:  # fmt: skip
-    """Return the solution at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
+    """Return the solution on ``e`` at ``times`` > 0 of ∂f/∂t = L f that starts with ``load``.
 
     For ``load`` and ``density`` see ``chain_resolvent``, for ``more`` see ``contours``. At the last
     end f = ``held`` at all times, or the flux is zero if None.
@@ -192,7 +192,7 @@ def matrices(e: Elements, *, absorbing: bool = False) -> tuple[csc_array, ...]:
 
 
 def eigenvalues_below(e: Elements, rates: Array) -> Integers:
-    """Return the number of eigenvalues of −L, 0 included, below each of ``rates`` (points,).
+    """Return how many eigenvalues of −L on ``e``, 0 included, are below each of the ``rates``.
 
     It is the number of negative pivots of A − λM: W. H. Wittrick and F. W. Williams, Q. J. Mech.
     Appl. Math. 24 (1971) 263.
@@ -203,7 +203,7 @@ def eigenvalues_below(e: Elements, rates: Array) -> Integers:
 
 
 def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> Rates:
-    """Return the ``count`` smallest nonzero eigenvalues of −L, which are real, to relative ``tol``.
+    """Return the ``count`` smallest nonzero eigenvalues of −L of ``process``, to relative ``tol``.
 
     The mesh ends where π φ² of an eigenfunction φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol
     beyond. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.

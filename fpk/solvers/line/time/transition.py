@@ -48,8 +48,8 @@ class Source:
         )
 
     def samples(self, e: Elements) -> tuple[Array, Array]:
-        """Return energies (points,) within the elements ``e``, and weights: Σ weight f(energy) is
-        the mean of f over the part of the source within the elements."""
+        """Return energies and weights, (points,) each: Σ weight f(energy) is the mean of f over the
+        source. A source density counts within the elements ``e`` only."""
         if self.process is None:
             return np.array([self.energy]), np.ones(1)
         nodes = mesh.time_nodes(self.process, self.extent, mesh.MAX_ELEMENT_DEGREE)
@@ -134,8 +134,8 @@ class Transition:
 
 
 def transition(process: Process, source: Source, times: Array, *, tol: float = 1e-10) -> Transition:
-    """Return the density at ``times`` > 0 after a start from ``source``, to the L1 tolerance
-    ``tol``. Raises as ``pose_question`` does."""
+    """Return the density of the energy of ``process`` at ``times`` > 0 after a start from
+    ``source``, to the L1 tolerance ``tol``. Raises as ``pose_question`` does."""
     question, pair = pose_question(process, source, float(times.min()), tol)
     return solve_adaptively(
         question, pair, lambda e, more: inverse_laplace(e, source.load(e), times, more=more)
@@ -145,7 +145,7 @@ def transition(process: Process, source: Source, times: Array, *, tol: float = 1
 def pose_question(
     process: Process, source: Source, time: float, tol: float, *, limit: float | None = None
 ) -> tuple[Question, Pair]:
-    """Return the question and the first pair of elements for it.
+    """Return the question of ``process`` from ``source``, and its first pair of elements.
 
     ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
     where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
@@ -211,8 +211,8 @@ def estimate_error(
 
     ``distance`` (times, elements, points) is |p − p of a better solution| at the Gauss points of
     ``own``, by default of the enriched solution ``finer``. The last two arrays (elements,) are the
-    integrals over each element of ``distance`` and of ``Question.common_error``, each the largest
-    of all times.
+    integrals over each element of ``distance`` and of ``common_error`` of the ``question``, each
+    the largest of all times.
     """
     answer, enriched = own.elements, finer.elements
     x, w = answer.x, answer.weight

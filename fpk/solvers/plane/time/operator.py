@@ -102,7 +102,7 @@ class PlaneOperator:
 
         With an absorbing edge the k-th trial function is the sum of all free vertex functions. All
         vertex functions add up to 1, and A tested with 1 is 0: its test function is this sum minus
-        1, the negative sum of the functions that the edge sets to 0. Without one, k has no meaning.
+        1, the negative sum of the functions that the edge sets to 0. Else k = 0 has no meaning.
         """
         vertices, at_ends = self._vertices, np.zeros(self.sizes, dtype=bool)
         at_ends[self.counts[0]] |= self.absorbing[0]
@@ -150,8 +150,8 @@ class PlaneOperator:
         return A.tocsc(), (S.T @ M @ S).tocsc(), S.T @ (M @ one)
 
     def along(self, axis: int, y: Array, *, slope: bool = False) -> Array:
-        """Return shape functions along ``axis``, or their slopes, at coordinates ``y``; 0 outside.
-        The result is (points, functions)."""
+        """Return shape functions along ``axis`` at coordinates ``y`` (points,), or their slopes if
+        ``slope``: (points, functions), 0 outside the nodes."""
         nodes, k = self.nodes[axis], self.degree
         panel = np.clip(np.searchsorted(nodes, y, side="right") - 1, 0, nodes.size - 2)
         t = (y - nodes[panel]) / (nodes[panel + 1] - nodes[panel])
@@ -217,7 +217,7 @@ def operators(
 ) -> Iterator[PlaneOperator]:
     """Yield operators on finer and finer meshes ``nodes(rise, panels)``, which end at −ln w = rise.
 
-    The rise follows from ``tol`` and ``height`` by ``negligible_rise``. The weight is the one of
+    The rise follows from ``tol`` and ``height`` by ``negligible_rise``. The weight is the weight of
     ``stationary`` to the power ``share`` <= 1, and constant where −ln w exceeds the rise by
     ``RISE``, as elements over which it rises by 40 have singular matrices. For ``absorbing`` and
     ``collapsed`` see ``PlaneOperator``.

@@ -55,7 +55,8 @@ class PlaneLimit:
         return self.collapsed or self.first is not None, self.second is not None
 
     def edge(self, far: Array) -> tuple[Array, Array]:
-        """Return H1 and H2, (points,) each, along the limit; ``far`` (2,) ends an axis without."""
+        """Return points H1, H2 along the limit, (points,) each, up to ``far`` (2,) on an axis
+        without limit."""
         t = np.linspace(0.0, 1.0, 41)
         if self.total is not None:
             return self.total * t, self.total * (1.0 - t)
@@ -82,7 +83,8 @@ class PlaneLimit:
 
 
 Level = tuple[PlaneOperator, Array, Array, float]
-"""An operator; mean, variance, rate and reliability at all times; their round-off; a residual."""
+"""An operator; mean, variance, failure rate and then P(T > t) at all times, in an array
+(3 + times,); their round-off, likewise; the relative residual."""
 
 
 def plane_first_passage(
@@ -96,10 +98,12 @@ def plane_first_passage(
 ) -> Passage:
     """Return the first passage of ``limit`` from ``start``, with P(T > t) at ``times`` >= 0.
 
-    Meshes are refined until two levels agree to ``tol``, relative to mean, variance and rate, or
-    more are ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
+    Process and weight are taken from ``stationary``. Meshes are refined until two levels agree to
+    ``tol``, relative to mean, variance and rate and absolute for P, or further levels are
+    ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
-    limit whose mean time is beyond double precision, or that takes too many unknowns.
+    limit whose mean time is beyond double precision, or that takes too many unknowns, and for an
+    initial density too narrow for the mesh.
     """
     height = start.height(stationary)
     far = stationary.far_ends(negligible_rise(tol, height))
@@ -211,9 +215,9 @@ def relaxation_rates(
 ) -> Rates:
     """Return the ``count`` nonzero eigenvalues of −L with the smallest real parts, Im λ >= 0.
 
-    Meshes are refined until two levels agree to ``tol``, relative to each rate; ``relative`` is the
-    relative error of the coefficients. Raises ``NotCertified`` if fewer than two levels have more
-    unknowns than Arnoldi vectors.
+    L and the weight are taken from ``stationary``. Meshes are refined until two levels agree to
+    ``tol``, relative to each rate; ``relative`` is the relative error of the coefficients. Raises
+    ``NotCertified`` if fewer than two levels have more unknowns than Arnoldi vectors.
     """
     # A rate of the order of the slowest: the smaller b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)

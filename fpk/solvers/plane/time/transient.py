@@ -131,16 +131,16 @@ def _small_exponential(H: Array, times: Array, gamma: float) -> tuple[Array, Arr
 
 
 Level = tuple[PlaneOperator, KrylovSolution]
-"""An operator, and its unknowns at all times."""
+"""An operator on one mesh, and its unknowns at all times."""
 
 
 def marginal_at(
     op: PlaneOperator, observed: tuple[int, ...], g: Array, at: Sequence[Array]
 ) -> Array:
-    """Return densities (times, ...) of unknowns ``g`` (times, unknowns) at energies ``at``.
+    """Return densities (times, ...) of unknowns ``g`` (times, unknowns) of ``op`` at ``at``.
 
     ``observed`` are the axes of the density: both, one, or none for the sum of the energies. ``at``
-    has one array (points,) for each axis, or for both also the axes (m, 1) and (1, n) of a grid.
+    has an array (points,) of energies for each, or for both also the axes (m, 1), (1, n) of a grid.
     """
     if len(observed) == 1:
         y, v = (a.ravel() for a in panel_rule(op.nodes[1 - observed[0]], op.points))
@@ -192,10 +192,11 @@ def transient_densities(
 ) -> tuple[Transient, tuple[Level, Level]]:
     """Return the densities of ``observed`` energies at ascending ``times`` > 0 and points ``at``.
 
-    For ``observed`` and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to
-    ``tol``, in L1 and in units of the largest density; their distance is the error. A time too
-    short for the finest level is not certified. ``coefficients_error(t, *at)`` is the relative
-    error of p by the coefficients. Also returned are the last two levels.
+    They begin with ``start``; process and weight are taken from ``stationary``. For ``observed``
+    and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to ``tol``, in L1 and
+    in units of the largest density; their distance is the error. A time too short for the finest
+    level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by the
+    coefficients. Also returned are the last two levels.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
