@@ -156,10 +156,10 @@ def transition_with_modulation(
 ) -> Transition:
     """Return the density at ``times`` > 0 of an energy that starts from ``source``.
 
-    ``under(factor)`` is the process under that multiple of the noise; ``tol`` is the L1 tolerance.
-    The error is the distance to elements of a higher degree and to steps twice as long. While there
-    is no noise the equation is the first-order equation of the decay. Raises ``InvalidInput`` for
-    times at which no noise has acted yet, and as ``quiet_until`` and ``pose_question`` do.
+    At the factor e(t)² on the noise intensity, e the ``modulation``, the process is ``under(e²)``;
+    ``tol`` is the L1 tolerance. The error is the distance to elements of a higher degree and to
+    steps twice as long. Raises ``InvalidInput`` for times at which no noise has acted yet, and as
+    ``quiet_until`` and ``pose_question`` do.
     """
     quiet = quiet_until(modulation, source)
     if times[0] <= quiet:

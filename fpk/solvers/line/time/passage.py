@@ -257,12 +257,12 @@ def passage_with_modulation(
 ) -> Passage:
     """Return the first passage of ``limit`` from ``source`` under modulated noise.
 
-    ``under(factor)`` is the process under that multiple of the noise. P(T > t) at ``times`` is the
-    mass of the forward solution with p = 0 at the limit. The failure rate is the rate under the
-    constant noise after the end of the modulation. If this noise is 0, systems that survive until
-    then never fail: moments are infinite, and there is no failure rate. For ``tol`` see
-    ``chain_first_passage``. Raises as that function and ``quiet_until`` do, and ``NotApplicable``
-    if there is never any noise, or if damping feeds energy in at the limit while there is none.
+    At the factor e(t)² on the noise intensity, e the ``modulation``, the process is ``under(e²)``.
+    P(T > t) at ``times`` is the mass of the forward solution with p = 0 at the limit. The failure
+    rate is the rate under the constant noise after the end of the modulation. If this noise is 0,
+    moments are infinite, and there is no failure rate. For ``tol`` see ``chain_first_passage``.
+    Raises as that function and ``quiet_until`` do, and ``NotApplicable`` if there is never any
+    noise, or if damping feeds energy in at the limit while there is none.
     """
     unit, last = modulation.largest, modulation.last
     quiet = modulated.quiet_until(modulation, source)
