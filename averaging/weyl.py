@@ -161,8 +161,7 @@ def weyl_table(
     """Return ln Ψ_ν(E), Ψ_ν = ∫_E^∞ u(H) (H − E)^(ν−1)/Γ(ν) dH for ν = ``order`` = 0, ½, 1, ...
 
     Ψ_0 is u, a function that is smooth between ``nodes``. The table has ``points`` coefficients on
-    each element and is −∞ beyond the last node; there u is continued by ``weyl_tail``, without
-    which Ψ would lose its relative accuracy close to that node.
+    each element and is −∞ beyond the last node; there u is continued by ``weyl_tail``.
     """
 
     def log_weyl(energy: Array) -> Array:

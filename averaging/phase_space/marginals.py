@@ -87,12 +87,12 @@ def _marginal_density(
     coefficients, scale = _projections(e, directions), float(np.prod(np.diag(L)))
 
     def given(y: Array) -> Array:
-        """Return the coefficients of the polynomials in t given ``y`` (points,), times w(y)."""
+        """Return w(``y``) times the coefficients of the polynomials in t, (orders, points)."""
         values, _ = b.functions(y)
         return np.asarray(coefficients @ values.T * b.density(y))
 
     def summed(c: Array, y: Array, x: Sequence[Array]) -> Array:
-        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t) with L t = ``x`` − o − s ``y``."""
+        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t)/det L, L t = ``x`` − o − s ``y``."""
         t: list[Array] = []
         for a, ((offset, slope, _), value) in enumerate(zip(linear, x, strict=True)):
             rest = value - offset - slope * y - sum(L[a, k] * t[k] for k in range(a))

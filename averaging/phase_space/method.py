@@ -44,7 +44,8 @@ UNASKED_WORK = 6.6e11
 """Largest number of multiplications of a solution without being named: with the coarser solutions
 about 12 s on one core."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
-"""Default relative tolerances; spectra and rates converge most slowly."""
+"""Default tolerances, relative to ``Question.scale``, of rates to each rate; spectra and rates
+converge most slowly."""
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,8 @@ def breakdowns() -> Iterator[None]:
 def credible_ratio(frame: Frame) -> float:
     """Return the smallest credible ratio of a distance of solutions to the distance before it.
 
-    ``LIGHT_RATIO`` if a mode's damping ratio is below ``LIGHT_DAMPING``, else ``LEAST_RATIO``.
+    ``LIGHT_RATIO`` without damping terms if a mode's damping ratio is below ``LIGHT_DAMPING``, else
+    ``LEAST_RATIO``.
     """
     squares, modes = np.linalg.eigh(frame.stiffness)
     own = np.sum(modes * (frame.damping @ modes), axis=0)
@@ -208,7 +209,7 @@ def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
 
 
 def least_distance(a: Expansion, b: Expansion) -> float:
-    """Return the smallest credible L1 distance of densities of two solutions.
+    """Return ``LEAST_RATIO`` times the largest L1 distance of a density of a single q or p.
 
     Raises ``LinAlgError`` if a variance is not positive.
     """

@@ -59,7 +59,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of modal energies, of their sum H or of (q, p), Eq. (35).
 
     The start of ``asked`` is an ``EnergyStart``. Raises ``NotApplicable`` for damping terms, and
-    for H of more than two modes of unequal damping or noise.
+    for H of more than two modes of unequal damping or noise; otherwise as ``orbit_transient``.
     """
     observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
     modulation = asked.system.modulation
@@ -201,9 +201,10 @@ def _first_of(parts: Sequence[Passing], rate: float, tol: float) -> tuple[Number
 
 
 def orbit_transient(parts: Sequence[Orbit], asked: Asked) -> Transient:
-    """Return the densities at times > 0 of one or two coordinates, each a sum over ``parts``.
+    """Return the densities of one or two coordinates (q, p), each a sum over ``parts``.
 
-    Raises ``NotApplicable`` if a density is too narrow for ``MOST_WAVES`` waves.
+    Raises ``NotApplicable`` if a density is too narrow for ``MOST_WAVES`` waves, ``InvalidInput``
+    for the time 0 unless the start is stationary.
     """
     noise, times, at = asked.start.noise, asked.times, asked.at
     require_times(times, positive=noise is None)

@@ -89,10 +89,10 @@ def lowest(frame: Frame) -> Degrees:
 
 
 def next_degrees(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
-    """Return the degrees of the next solution; ``rise`` is added to the degree in the others.
+    """Return the degrees of the next solution after ``degrees``.
 
-    ``total`` is odd without damping terms. With damping terms errors oscillate with the degree, and
-    it rises by a factor.
+    For two masses ``rise`` is added to ``others``, for three at most 1. With damping terms it has
+    no effect: all degrees rise by a factor, since errors oscillate with the degree.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:

@@ -57,10 +57,7 @@ class Expansion:
     residual: float
 
     def functions(self, n: int, y: Array) -> Array:
-        """Return u_k, the factors of the Hermite functions of level ``n``, at ``y`` (points,).
-
-        The result is (degrees, points).
-        """
+        """Return u_k at ``y`` (points,), the factor of each Hermite function k of level ``n``."""
         b = self.basis
         values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)

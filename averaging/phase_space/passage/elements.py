@@ -67,7 +67,7 @@ class Elements:
     free: Integers
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
-        """Return the vector of Σ ``weights`` u(``q``, ``v``) over states within the limit."""
+        """Return the vector x, Σ ``weights`` u(``q``, ``v``) = x·u, of states within the limit."""
         m, n = self.mesh, self.mesh.degree + 1
         places, values = [], []
         for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):

@@ -78,7 +78,7 @@ class Oscillator:
         return float(brentq(excess, 0.0, far, xtol=SMALLEST))
 
     def travel(self, length: float) -> float:
-        """Return the time in which noise alone moves q by ``length``, at most half a period."""
+        """Return the time in which noise moves q by 2 ``length`` rms, at most half a period."""
         cycle = pi / self.frequency if self.frequency else inf
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
