@@ -102,7 +102,7 @@ def modes_of_observable(observable: Observable) -> list[int]:
 
 
 def modal_limits(limit: Limit, start: EnergyStart) -> dict[int, float]:
-    """Return the largest energy of each limited mode by its 0-based number, empty for the sum H.
+    """Return the limit of each limited modal energy by its 0-based mode, empty for the sum H.
 
     Raises ``NotApplicable`` for a displacement, ``InvalidInput`` for a start at or above the limit.
     """

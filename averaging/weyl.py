@@ -88,8 +88,8 @@ class WeylIntegrals:
 
     The finer table of u is the answer; its error is the largest relative difference to a coarser
     table in each element, plus the error of continuing u beyond the last node as an exponential. If
-    the damping depends on the state u is none: then the elements of the finer table are half as
-    long, and the whole continuation counts as an error.
+    damping depends on the state, u is no exponential: then the elements of the finer table are half
+    as long, and the whole continuation counts as an error.
     """
 
     solution: Solution

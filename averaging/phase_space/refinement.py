@@ -51,7 +51,7 @@ SOLUTION_MEMORY = 4.0
 SOLUTION_WORK = 1.2e13
 """Limit of the operations of one solution with ``SOLUTION_MEMORY``: about a minute on two cores."""
 REFITS = 2
-"""Times that the reference takes the moments of a solution about it. The first changed the
+"""Number of times that moments of a solution about the reference replace it. The first changed the
 variances of 119 systems by 0.3 % at the median and at most 20 %, the second by 7e-8 and at most 7
 %."""
 NARROWER, MOST, BETTER = 0.87, 4, 0.95

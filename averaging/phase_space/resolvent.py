@@ -25,9 +25,9 @@ only."""
 SAME_RATE = 1e-6
 """Relative difference below which two eigenvalues count as a multiple eigenvalue."""
 OVERLAP = 0.9
-"""Share of the distance from a shift to the nearest eigenvalue that has not converged, within which
-all are taken as found. The next shift lies beyond the covered line by this share of the shortest
-half of that line in a disc."""
+"""Radius about a shift within which all eigenvalues count as found, over the distance to the nearest
+eigenvalue that has not converged. The next shift lies beyond the part of a line Re λ that discs
+cover by this share of the shortest half chord."""
 DISCS = 40
 """Largest number of shifts at which eigenvalues are sought: a minute if eliminations are fast."""
 

@@ -68,7 +68,7 @@ class Degrees:
     def fewer(self, most: int, beyond: int) -> int:
         """Return the odd number of polynomials between stops for ``beyond`` beyond a stop.
 
-        Half of ``most``, the number for ``outer``, is in proportion to ``beyond``.
+        It is about ½ (1 + ``beyond``/``outer``) times ``most``, the number at ``outer``.
         """
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 

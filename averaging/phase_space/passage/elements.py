@@ -96,7 +96,7 @@ class Elements:
 
     @cached_property
     def mean(self) -> Array:
-        """Coefficients (unknowns,) of the mean time; a factor is lost if failure is rare."""
+        """Coefficients (unknowns,) of the mean time; inexact in scale if failure is rare."""
         return self.solve(self.load)
 
     def moments(self, start: Array) -> tuple[float, float, float]:
