@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy import stats
+from systems import in_units, mirrored
 
 import fpk as face
 from cases.compare.answers import Answers
@@ -15,7 +16,6 @@ from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.presented import summary_frame
-from cases.show.text import quantity_tables
 from fpk.answer.density import Density
 from fpk.numeric.errors import InvalidInput, Unavailable
 from fpk.system.contact import Contact
@@ -26,6 +26,7 @@ LINEAR = System([1.0, 2.0], [1.0, 0.5], [0.08, 0.04], [0.08 * 0.3, 0.04 * 0.3])
 TEMPERATURE = 0.3
 STOP = Contact(1, "right", 10.0, 0.3)
 ONE = System([2.0], [1.0], [0.08], [0.08 * TEMPERATURE], contacts=(STOP,))
+FREE = replace(ONE, contacts=())
 
 
 @pytest.fixture(scope="module")
@@ -53,23 +54,21 @@ def test_the_upcrossing_rate_follows_from_a_joint_density_too(one):
     assert abs(sampled.value - exact.value) < 4.5 * sampled.error < 0.1 * exact.value
     (comparison,) = [c for c in joint.quantity_comparisons if c.observable == f"q1: {rate}"]
     assert comparison.measures == "numerical" and comparison.holds
-    without = face.solve(replace(ONE, contacts=()), ["q1,p1", "q1"], methods=["exact"])
+    without = face.solve(FREE, ["q1,p1", "q1"], methods=["exact"])
     assert not [q for q in without.quantities if "stop" in q.quantity]
     assert not [d for r in without.results for d in r.beside]
 
 
-def test_a_pair_has_its_correlation_by_every_route():
-    """Springs in series in equilibrium: cov(q1, q2) = T/k1, var q2 = T (1/k1 + 1/k2)."""
-    names = ["linear", "exact", method_for("montecarlo", paths=4096, relaxations=10.0, seed=4)]
-    answers = face.solve(LINEAR, ["q1,q2"], methods=names)
-    for (quantity, route), number in numbers(answers).items():
-        true = {"covariance": TEMPERATURE, "correlation": 1.0 / np.sqrt(3.0)}[quantity]
-        most, largest = (4.5, 0.02) if route == "montecarlo" else (1.0, 1e-9)
-        assert abs(number.value - true) <= most * number.error and number.error < largest * true
-    assert not answers.problems and len(answers.quantity_comparisons) == 6
-    wrong = replace(LINEAR, stiffness=[1.0, 0.6])
-    other = face.solve(wrong, ["q1,q2"], methods=["exact"]).results
-    assert Answers(LINEAR, other + answers.results[2:]).problems
+def test_a_stop_on_the_left_is_felt_as_one_on_the_right(one):
+    """Mirrored, the system has the same contact; the mean is off 0 and enters the rms."""
+    left, right = numbers(face.solve(mirrored(ONE), ["q1"], methods=["exact"])), numbers(one)
+    felt = [name for name, _ in left if name.endswith("left stop")]
+    assert len(felt) == 6
+    for name in felt:
+        a, b = left[name, "exact"], right[name.replace("left", "right"), "exact"]
+        assert abs(a.value - b.value) <= a.error + b.error
+    mean, std, rms = (left[name, "exact"].value for name in ("mean", "std", "rms"))
+    assert mean > 0.1 * std and rms == pytest.approx(np.hypot(mean, std), rel=1e-12)
 
 
 LEVELS = """
@@ -233,31 +232,6 @@ def test_the_record_of_a_run_has_the_quantities_as_rows(solved, scene_text):
     assert {c.band for c in answers.quantity_comparisons} == {None} and not answers.problems
 
 
-def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
-    routes = ("phase-space", "nonintegrable/fem", "nonintegrable/closed-form", "montecarlo")
-    rows = [
-        {
-            "observable": "q2",
-            "quantity": quantity,
-            "label": quantity,
-            "solves": "full",
-            "route": route,
-            "value": 0.5,
-            "error": 1e-3,
-            "error_kind": "sampling" if route == "montecarlo" else "numerical",
-        }
-        for quantity in ("mean", "contact probability, right stop")
-        for route in routes
-    ]
-    wide = "\n".join(quantity_tables(rows, 100))
-    assert wide.count("q2") == 1 and "elements" not in wide and "0.5000(10)" in wide
-    assert "finite elements" in "\n".join(quantity_tables(rows, 100, True))
-    for width in (60, 80, 120):
-        lines = quantity_tables(rows, width, True)
-        assert max(map(len, lines)) <= width
-        assert sum(line.count("0.5000(10)") for line in lines) == len(rows)
-
-
 def test_frames_and_labelled_arrays_have_the_numbers_with_their_errors(one):
     frame = one.summary()
     for q in one.quantities:
@@ -297,3 +271,47 @@ def test_a_notebook_shows_the_tables_and_a_missing_package_is_named(one, monkeyp
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(Unavailable, match=r"vibro-fpk\[frames\]"):
         one.summary()
+
+
+@pytest.mark.parametrize("unit", [pytest.param(1e-30, marks=pytest.mark.slow), 1e30])
+def test_units_of_mass_length_and_time_are_free(unit):
+    """The same system in other units: quantities differ by the unit and by round-off in errors."""
+    routes = ["exact", "nonintegrable/fem"]
+    observables = ["q1", "H", "q1,p1"]
+    plain = face.solve(ONE, observables, methods=routes)
+    for m, x, t in np.where(np.eye(3), unit, 1.0):
+        force, energy = m * x / t**2, m * x**2 / t**2
+        powers = {
+            "skewness": 1.0,
+            "kurtosis": 1.0,
+            "correlation": 1.0,
+            "covariance": x * m * x / t,
+            "contact probability": 1.0,
+            "upcrossing rate": 1.0 / t,
+            "mean force": force,
+            "force in contact": force,
+            "mean overlap": x,
+            "overlap in contact": x,
+        }
+        scaled = face.solve(in_units(ONE, m, x, t), observables, methods=routes)
+        assert not scaled.problems
+        for own, known in zip(scaled.quantities, plain.quantities, strict=True):
+            kind = own.quantity.partition(",")[0]
+            scale = powers.get(kind, energy if own.observable == "H" else x)
+            off = abs(own.number.value / scale - known.number.value)
+            assert off <= own.number.error / scale + known.number.error, (own.observable, kind)
+            # Round-off depends on the unit; errors of quantiles begin at 1e-14 of the support.
+            assert own.number.error / scale <= 30.0 * known.number.error + 1e-12
+
+
+@pytest.mark.parametrize("route", ["linear", "nonintegrable/fem"])
+def test_a_rare_exceedance_and_its_quantile_are_within_their_errors(route):
+    density, scale = face.solve(FREE, ["q1"], methods=[route])["q1"], np.sqrt(TEMPERATURE)
+    for p in (1e-300, 1e-30, 1e-12):
+        x = stats.norm.isf(p) * scale
+        number = density.exceedance(x)
+        assert abs(number.value - p) <= number.error and number.error < 1e-13
+        for share, true in ((p, -x), (1.0 - p, stats.norm.ppf(1.0 - p) * scale)):
+            if 0.0 < share < 1.0:
+                quantile = density.quantile(share)
+                assert abs(quantile.value - true) <= quantile.error

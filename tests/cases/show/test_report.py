@@ -9,17 +9,25 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from cases.compare.attempts import Refusal
+from cases.compare.compare import Comparison
 from cases.compare.rare import SPLITTING
 from cases.compare.routes import method_for, register_routes
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.scene.units import Units
-from cases.show.digest import digest_of
+from cases.show.digest import comparison_rows, digest_of, refusal_record
 from cases.show.page import TEMPLATES
 from cases.show.pictures.chain import chain_svg
 from cases.show.pictures.style import COLOURS, DARK, DASHES, MARKERS
 from cases.show.report import headline_of, measure_of, numbers_of, report_html
-from cases.show.text import claims_counted, render, theory_table
+from cases.show.text import (
+    claims_counted,
+    quantity_tables,
+    refusals_of,
+    render,
+    theory_table,
+)
 from cases.show.words import CONSTANT_NOISE, reader_words
 from fpk import Contact, System
 from fpk.answer.method import ROUTES
@@ -188,20 +196,35 @@ def test_stationary_numbers_of_a_modulated_scene_say_that_they_are_of_constant_n
         assert ("averaging error of H under constant noise: " in text) == modulated
 
 
-def test_quantities_have_a_column_for_each_theory():
-    def q(route, value, of="q2"):
-        kind = "sampling" if route == "montecarlo" else "numerical"
-        return {"observable": of, "quantity": "rms", "label": "rms", "solves": "full",
-                "route": route, "value": value, "error": 1e-3, "error_kind": kind}  # fmt: skip
+def number(route, value, of="q2", quantity="rms"):
+    kind = "sampling" if route == "montecarlo" else "numerical"
+    return {"observable": of, "quantity": quantity, "label": quantity, "solves": "full",
+            "route": route, "value": value, "error": 1e-3, "error_kind": kind}  # fmt: skip
 
-    rows = [q("nonintegrable/closed-form", 1.0), q("nonintegrable/fem", 1.1), q("montecarlo", 2.0)]
-    table = theory_table([*rows, q("nonintegrable/fem", 3.0, "H")])
+
+def test_quantities_have_a_column_for_each_theory():
+    routes = ("nonintegrable/closed-form", "nonintegrable/fem", "montecarlo")
+    rows = [number(route, value) for route, value in zip(routes, (1.0, 1.1, 2.0), strict=True)]
+    table = theory_table([*rows, number("nonintegrable/fem", 3.0, "H")])
     assert table["routes"] == ["energy averaging", "simulation"]
     one, energy = table["rows"]
     assert [cell["value"] for cell in one["cells"].values()] == [1.0, 2.0]
     # The closed form does not give H: another solver of the theory does.
     assert energy["of"] == "H" and energy["cells"]["energy averaging"]["value"] == 3.0
     assert theory_table([])["rows"] == []
+
+
+def test_a_table_is_as_wide_as_the_terminal_and_repeats_no_solver():
+    routes = ("phase-space", "nonintegrable/fem", "nonintegrable/closed-form", "montecarlo")
+    quantities = ("mean", "contact probability, right stop")
+    rows = [number(route, 0.5, quantity=name) for name in quantities for route in routes]
+    wide = "\n".join(quantity_tables(rows, 100))
+    assert wide.count("q2") == 1 and "elements" not in wide and "0.5000(10)" in wide
+    assert "finite elements" in "\n".join(quantity_tables(rows, 100, True))
+    for width in (60, 80, 120):
+        lines = quantity_tables(rows, width, True)
+        assert max(map(len, lines)) <= width
+        assert sum(line.count("0.5000(10)") for line in lines) == len(rows)
 
 
 def test_theories_claims_and_numbers_in_words():
@@ -214,12 +237,10 @@ def test_theories_claims_and_numbers_in_words():
     assert claims_counted(claims) == "2 hold, 2 do not hold, 1 undecided"
     assert claims_counted(claims[:2]) == "1 holds, 1 undecided"
     # The headline of a pair has an impact rate and no force.
-    words = "impact rate, left stop"
-    row = {"observable": "q2", "quantity": words, "label": words, "solves": "full", "value": 1.25}
-    row |= {"error": 0.125, "route": "exact"}
+    row = number("exact", 1.25, quantity="impact rate, left stop")
     curve = {"system": {"modulation": None}, "passages": [], "averaging_unknown": []}
     assert numbers_of({**curve, "quantities": [row]}).startswith("Q2 impact rate, left stop 1.25 ±")
-    force = {**row, "quantity": "mean force, left stop", "label": "mean force, left stop"}
+    force = number("exact", 1.25, quantity="mean force, left stop")
     assert "mean force, left stop 1.25" in numbers_of({**curve, "quantities": [row, force]})
 
 
@@ -247,3 +268,45 @@ def test_the_policy_allows_the_style_of_the_page_alone_and_a_long_chain_has_no_t
     page = report_html(scene, digest_of(long), [])
     system = page[page.index("<dt>damping c") : page.index("<dt>contact 1")]
     assert system.count(", ") == 2 * 49
+
+
+FEM, CLOSED = ROUTES["nonintegrable", "fem"], ROUTES["nonintegrable", "closed-form"]
+MODAL, SAMPLED = ROUTES["integrable", "closed-form"], ROUTES["integrable", "simulation"]
+MONTE_CARLO, LINEAR = ROUTES["montecarlo", "simulation"], ROUTES["linear", "closed-form"]
+
+
+def test_solvers_of_one_theory_are_not_repeated():
+    pairs = [
+        (FEM, CLOSED, "numerical", False),
+        (FEM, MONTE_CARLO, "averaging", False),
+        (CLOSED, MONTE_CARLO, "averaging", True),
+        (FEM, MODAL, "averaging", False),
+        (MODAL, SAMPLED, "sampling", False),
+        (ROUTES["integrable", "fem"], MONTE_CARLO, "averaging", False),
+        (SAMPLED, MONTE_CARLO, "averaging", False),
+    ]
+    rows = comparison_rows(
+        [Comparison("q2", a, b, kind, 0.1, None, 0.0) for a, b, kind, _ in pairs]
+    )
+    assert [r["repeats"] for r in rows] == [repeats for *_, repeats in pairs]
+
+
+def test_one_reason_is_given_once():
+    words = "H1: knows the total energy only"
+    refusals = [
+        Refusal(FEM, ("H1",), words),
+        Refusal(ROUTES["nonintegrable", "quadrature"], ("H1", "H2"), words),
+        Refusal(FEM, ("H2",), words.replace("H1", "H2")),
+        Refusal(LINEAR, ("q2",), "has contacts"),
+        Refusal(LINEAR, ("q1",), "has contacts", failed=True),
+    ]
+    first, second, third = refusals_of({"methods": list(map(refusal_record, refusals))})
+    assert first == {
+        "routes": "energy averaging (fem, quadrature)",
+        "observables": ["H1", "H2"],
+        "reason": "knows the total energy only",
+        "failed": False,
+        "gave_up": False,
+        "methods": {"nonintegrable": {"fem": None, "quadrature": None}},
+    }
+    assert (second["routes"], second["failed"], third["failed"]) == ("Gaussian", False, True)
