@@ -6,9 +6,7 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-import xarray as xr
 
 from cases.compare.routes import all_methods, all_routes, chosen_methods
 from cases.scene.scene import shipped_scenes
@@ -126,18 +124,6 @@ def test_json_is_one_object_of_plain_keys_and_numbers(line, keys, fpk):
         assert record["certificate"]["residual"] > 0.0  # measured
 
 
-@pytest.mark.parametrize(
-    "solver", [r.solver for r in all_routes() if r.method == "nonintegrable" and not r.sampled]
-)
-def test_a_density_is_given_by_the_solver_asked_for(solver, answer):
-    asked = ("--method", "nonintegrable", "--solver", solver, "--of", "q2", "--at", "-1.5:1.5:0.5")
-    record = answer("density", "fig6a", *asked)
-    assert record["solver"] == solver and record["error_kind"] == "numerical"
-    assert record["points"] == [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]
-    assert len(record["density"]) == len(record["error"]) == 7
-    assert record["density"] == pytest.approx(record["density"][::-1], rel=1e-9)
-
-
 def test_the_solver_is_finite_elements_if_none_is_asked_for_and_a_pair_takes_two_lists(answer):
     simulated = ("--solver", "simulation", "--of", "H1", "--at", "0.1,0.2")
     record = answer("density", "fig8b", "--method", "integrable", *simulated)
@@ -158,35 +144,6 @@ def test_every_shipped_scene_loads_and_can_be_shown(answer):
         record = answer("show", name)
         assert len(record["natural_frequencies"]) == len(record["system"]["mass"])
         assert record["boundaries"] and any(t["applies"] for t in record["theories"])
-
-
-def test_run_judges_and_reports(answer, tmp_path, written):
-    text, _, _ = shipped_scenes()["fig3a"].read_text().partition("[expect]")
-    scene = written(text.replace("[0.1, 1.0, 10.0]", "[1.0, 10.0]"), "pair.toml")
-    record = answer("run", scene, "--out", tmp_path / "out", "--seed", 1)
-    assert len(record["curves"]) == 1  # beside the first, which is the record itself
-    for curve in [record, *record["curves"]]:
-        # (8) holds, so that only what leaves the contacts out differs from the exact density.
-        found = {True: set(), False: set()}
-        for c in curve["comparisons"]:
-            assert c.keys() >= {"observable", "a", "b", "measures", "L1", "band", "holds"}
-            routes = (c["a"].split("/")[0], c["b"].split("/")[0])
-            found[routes.count("integrable") == 1].add(c["measures"])
-        assert found == {True: {"averaging"}, False: {"numerical", "sampling"}}
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "<svg" in page and "http://" not in page.replace("http://www.w3.org/", "")
-    with xr.open_dataset(tmp_path / "out" / "result.nc", engine="h5netcdf") as data:
-        assert np.all(np.isfinite(data["p_q2"].sel(route_q2="exact")))
-        assert data.attrs["scene"] == "pair"
-    assert len(list((tmp_path / "out").glob("*.svg"))) == 8
-
-
-def test_export_by_ending_makes_the_folder(fpk, tmp_path):
-    for ending, beside in (("csv", []), ("nc", []), ("vtu", ["field_stops.vtu"])):
-        path = tmp_path / ending / f"field.{ending}"
-        status, _, err = fpk("export", "fig6a", "--of", "q2", "--out", path)
-        assert (status, err) == (0, "") and path.stat().st_size > 1000
-        assert sorted(p.name for p in path.parent.iterdir()) == [path.name, *beside]
 
 
 def test_show_names_the_ends_of_every_modal_energy(fpk, answer, written):

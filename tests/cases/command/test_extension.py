@@ -91,13 +91,13 @@ def test_they_are_exported_and_in_a_format_of_one_file(
 
     executed("toy_writer")
     monkeypatch.setattr("cases.compare.routes.all_methods", few)
-    for ending in ("csv", "vtu", "dat"):
-        path = tmp_path / f"p1.{ending}"
+    for ending in ("csv", "nc", "vtu", "dat"):
+        path = tmp_path / ending / f"p1.{ending}"  # in a folder that it makes
         status, out, _ = fpk("export", scene_path, "--of", "p1", "--out", path)
-        assert (status, out.split()) == (0, ["wrote", str(path)])
-    with (tmp_path / "p1.csv").open() as stream:
+        assert (status, out.split()) == (0, ["wrote", str(path)]) and path.stat().st_size > 1000
+    with (tmp_path / "csv" / "p1.csv").open() as stream:
         assert any(row["route"] == TOY[0] for row in csv.DictReader(stream))
-    assert f'Name="{TOY[0]}"' in (tmp_path / "p1.vtu").read_text(errors="replace")
+    assert f'Name="{TOY[0]}"' in (tmp_path / "vtu" / "p1.vtu").read_text(errors="replace")
     names = re.findall("# (.*)", path.read_text())
     assert names == ["p1, exact", f"p1, {TOY[0]}"]
     x, p, error = np.loadtxt(path, unpack=True)[:, :401]

@@ -13,7 +13,10 @@ STOP = "[[contact]]\nmass = 1\nside = 'right'\nlaw = 'power'\nexponent = 2.0\n"
 @pytest.fixture
 def given(answer, written):
     def ask(text, command, *options, solver="fem", method="nonintegrable"):
-        return answer(command, written(text), "--method", method, "--solver", solver, *options)
+        words = command, written(text), "--method", method, "--solver", solver, *options
+        record = answer(*words)
+        assert record["solver"] == solver
+        return record
 
     return ask
 

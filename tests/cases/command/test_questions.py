@@ -12,7 +12,6 @@ from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 
-MODULATION = "\n[modulation]\ntimes = [0, 10]\nfactor = [0.5, 1.0]\n"
 DEFAULTS = {
     "transient": {"--of": "H", "--times": "1,10", "--at": "0.1,0.5,1"},
     "passage": {"--limit": "H=1"},
@@ -140,18 +139,6 @@ def test_a_variance_beyond_range_is_null_and_a_dash_in_text(linear, answer, fpk)
     assert status == 0 and "variance  -  -" in out and "nan" not in out
 
 
-def test_modulated_noise(scene_text, written, answer, refusal):
-    options = "transient", "--times", "5", "--tol", "1e-5"
-    modulated = written(scene_text + MODULATION)
-    record, steady = (answer(*asked(*options, scene=s)) for s in (modulated, "fig6a"))
-    # Less noise at first, less energy.
-    assert record["density"][0][2] < 0.5 * steady["density"][0][2]
-    for factor, word in (("[0.5, -0.9]", "negative"), ("[1.0]", "one per time")):
-        scene = written(scene_text + MODULATION.replace("[0.5, 1.0]", factor))
-        err = refusal(*asked("transient", scene=scene))
-        assert "modulation.factor" in err and word in err
-
-
 def test_what_a_passage_that_is_not_certified_does_not_know_is_null(simulated, fpk):
     """Nothing fails in a fifth of a second: no moment is known, nor is any error but a bound."""
     options = "--limit", "H=1e3", "--seconds", 0.2, "--times", 5
@@ -171,11 +158,3 @@ def test_a_rare_passage_is_left_to_splitting_and_says_so(simulated, answer):
     assert record["mean"] is record["rate"] is record["variance_error"] is None
     text = passage_text(record)
     assert "nan" not in text and "# splitting" in text and "P(T <= t)" in text
-
-
-def test_a_limit_that_is_passed_soon_and_a_step_that_is_too_long_for_it(simulated, answer, fpk):
-    question = asked("passage", "--limit", "H=1e-60", "--times", "1e-58", **simulated)
-    record = answer(*question)
-    assert 0.0 < record["mean"] < 1e-58 and record["survival_error"][0] < 0.01
-    status, out, err = fpk(*question, "--dt", 0.1)
-    assert status == 1 and out and "not all is seen; use" in err and err.count("\n") == 1

@@ -51,25 +51,6 @@ def test_a_run_says_which_equation_each_route_solves_and_what_is_not_known(
     assert record["averaging_unknown"] == ["q2", "H", "H=0.4 from rest"]
 
 
-@pytest.mark.parametrize(
-    ("command", "method", "solves"),
-    [
-        (("density", "--of", "q2", "--at", "0"), "nonintegrable", "averaged"),
-        (("density", "--of", "q2", "--at", "0", "--tol", "0.05"), "phase-space", "full"),
-        (("transient", "--of", "H", "--times", "1", "--at", "0.1"), "nonintegrable", "averaged"),
-        (("passage", "--limit", "H=0.4", "--times", "1"), "integrable", "averaged"),
-        (("relaxation",), "nonintegrable", "averaged"),
-    ],
-)
-def test_a_single_answer_says_which_equation_was_solved(scene, fpk, command, method, solves):
-    name, *options = command
-    status, text, _ = fpk(name, scene, "--method", method, *options)
-    assert status == 0 and f"# solves the {solves} equation: " in text
-    assert (
-        json.loads(fpk(name, scene, "--method", method, *options, "--json")[1])["solves"] == solves
-    )
-
-
 def test_a_route_that_gives_up_is_named_with_its_reason(scene, fpk, tmp_path, monkeypatch):
     def out_of_reach(*_, **__):
         raise NotApplicable("an error of 0.5 was reached: out of reach")
