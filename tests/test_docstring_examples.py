@@ -18,15 +18,9 @@ import pytest
 import averaging
 import fpk
 import sim
-from averaging.energy_process import energy_process
 from cases.compare.stationary import run_scene
-from cases.scene.scene import shipped_scenes
-from cases.show.fields import write_netcdf
-from cases.show.vtk import write_vtu
-from fpk.answer.contacts import contact_quantities
-from fpk.answer.names import REST, parse_limit, parse_observable, parse_start
-from fpk.system.contact_law import LAWS, ContactLaw, register_law
-from sim.questions.splitting import Splitting, rare_failure
+from fpk.answer.names import REST, parse_observable
+from fpk.system.contact_law import LAWS
 
 LINKS = runpy.run_path(str(Path(__file__).parent.parent / "docs" / "links.py"))
 PAGE = (Path(__file__).parent.parent / "docs" / "api.md").read_text(encoding="utf-8")
@@ -86,14 +80,9 @@ def test_the_example_of_a_docstring_runs(name, tmp_path, monkeypatch):
     found = examples(name)
     assert found, f"{name} has no example"
     monkeypatch.chdir(tmp_path)
-    space = {"fpk": fpk, "np": np, "Path": Path, "system": fpk.load("fig6a").system, "REST": REST}
-    space |= {key: getattr(averaging, key) for key in averaging.__all__}
-    space |= {"MonteCarlo": sim.MonteCarlo, "Splitting": Splitting}
-    names = (
-        contact_quantities, energy_process, parse_limit, parse_observable, parse_start,
-        rare_failure, run_scene, shipped_scenes, write_netcdf, write_vtu, ContactLaw, register_law,
-    )  # fmt: skip
-    space |= {f.__name__: f for f in names}
+    space = {path.rpartition(".")[2]: named(path) for path in MEMBERS}
+    space |= {"parse_observable": parse_observable, "REST": REST, "run_scene": run_scene}
+    space |= {"fpk": fpk, "np": np, "Path": Path, "system": fpk.load("fig6a").system}
     before = set(LAWS)
     try:
         for block in found:

@@ -21,7 +21,7 @@ from cases.command.app import app
 from cases.compare import answering, claims, doubt, quantity
 from cases.compare.routes import all_routes
 from cases.scene import schema
-from cases.show import facts, text
+from cases.show import facts
 from cases.show.pictures import densities
 from cases.study import converge, cost, levels, orders
 from cases.study.orders import grid_convergence
@@ -228,15 +228,6 @@ def test_a_template_repeats_no_constant():
             assert not re.findall(r".{,40}\d.{,20}", re.sub(NAMES, "", text)), path.name
         rate = r"\b(one in|in a) (ten|hundred|thousand|million)|times the\b"
         assert not re.search(rate, text), path.name
-
-
-def test_the_report_states_the_rates_of_the_code():
-    page = (FOLDER / "report.html").read_text(encoding="utf-8")
-    (sentence,) = re.findall(r"[^.>]*false-alarm rate[^<]*", page)
-    limits = {"false_alarms": diagnostics.FALSE_ALARMS}
-    shown = text._templates().from_string(sentence).render(limits=limits)
-    assert shown.strip().endswith("at a false-alarm rate of 1 × 10⁻⁶.")
-    assert diagnostics.FALSE_ALARMS == 1e-6
 
 
 def test_messages_and_help_state_the_limits_of_the_code():

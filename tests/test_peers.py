@@ -13,8 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fpk.numeric.quadrature import panel_rule
-
 ROOT = Path(__file__).resolve().parent.parent
 PEERS = ROOT / "benchmarks" / "peers"
 SDE_PEERS = ROOT / "benchmarks" / "sde_peers"
@@ -35,47 +33,25 @@ def test_smallest_settings_print_measurements():
     assert {"W1", "W3", "W4"} <= {line["problem"] for line in lines}
     for line in lines:
         assert set(line) == KEYS | {"note"}
-        # With mass one on both sides ∫|p_h − p| <= 2 unless p_h is negative; all are far below.
-        assert 0.0 < line["L1"] < 0.1
+        # The tolerance is 1e-4: coefficients of another density are seen.
+        assert 0.0 < line["L1"] < 1e-3
         assert abs(line["mass"] - 1.0) < 1e-6
         assert line["seconds"] > 0.0 and line["unknowns"] > 0
 
 
-def test_the_density_of_the_coupled_problem_is_stationary():
-    """E[s · ∇v + ½ b : ∇∇v] = 0 for every v, here monomials; not so without b_12."""
-    problem = runpy.run_path(str(PEERS / "coupled.py"))["Mixture"]("W3")
-    H, w = (a.ravel() for a in panel_rule(np.linspace(0.0, 60.0, 61), 16))
-    at = np.array([a.ravel() for a in np.meshgrid(H, H, indexing="ij")])
-    x, y = at
-    p = np.outer(w, w).ravel() * problem.exact(at)
-    (s, t), (b, d), divergence = problem.coefficients(at)
-    c = problem.cross(at)
-    of = problem.process
-    full = of.coefficients(at.T).diffusion
-    assert np.array_equal(np.moveaxis(full, 0, -1), [[b, c], [c, d]])
-    assert np.array_equal(of.coefficients(at.T).drift.T, [s, t])
-    assert np.array_equal(of.coefficients(at.T).divergence.T, divergence)
-    identities = (
-        (s,), (t,), (2 * x * s, b), (2 * y * t, d), (y * s, x * t, c),
-        (2 * x * y * s, x**2 * t, y * b, 2 * x * c),
-    )  # fmt: skip
-    # Round-off of a sum of 960² numbers, as a random walk: 960 eps = 2e-13 of their sizes.
-    assert abs(p.sum() + problem.tail((60.0, 60.0)) - 1.0) < 2e-13
-    for terms in identities:
-        assert abs(p @ sum(terms)) < 2e-13 * sum(p @ np.abs(term) for term in terms)
-    *rest, _ = identities[4]
-    assert abs(p @ sum(rest)) > 0.1 * sum(p @ np.abs(term) for term in rest)
-
-
-def test_the_peers_get_the_coefficients_of_the_scene(monkeypatch):
+@pytest.mark.parametrize(
+    ("file", "kind", "names"),
+    [("coupled", "Mixture", ["W3"]), ("vanderpol", "Averaged", ["W4", "vanderpol"])],
+)
+def test_the_peers_get_the_coefficients_of_the_process(file, kind, names, monkeypatch):
     monkeypatch.syspath_prepend(PEERS)
-    problem = runpy.run_path(str(PEERS / "vanderpol.py"))["Averaged"]("W4", "vanderpol")
+    problem = runpy.run_path(str(PEERS / f"{file}.py"))[kind](*names)
     at = np.array([[0.0, 0.02, 0.3], [0.1, 0.4, 0.05]])
-    drift, diffusion, divergence = problem.coefficients(at)
-    np.testing.assert_allclose(drift, problem.process.at(at.T).drift.T, rtol=1e-13, atol=1e-16)
-    full = np.moveaxis(problem.process.at(at.T).diffusion, 0, -1)
-    np.testing.assert_allclose(full, [[diffusion[0], 0.0 * at[0]], [0.0 * at[0], diffusion[1]]])
-    np.testing.assert_allclose(divergence, problem.process.at(at.T).divergence.T)
+    drift, (b, d), divergence = problem.coefficients(at)
+    c, of = problem.cross(at) if file == "coupled" else 0.0 * at[0], problem.process.at(at.T)
+    np.testing.assert_allclose(drift, of.drift.T, rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(np.moveaxis(of.diffusion, 0, -1), [[b, c], [c, d]])
+    np.testing.assert_allclose(divergence, of.divergence.T)
 
 
 def test_a_missing_peer_is_named():

@@ -51,12 +51,6 @@ SCRIPT = """
 """
 
 
-@pytest.fixture(scope="module")
-def outcome(solved, scene_text):
-    text = scene_text.replace('["q2", "H"]', json.dumps(OBSERVABLES))
-    return solved(text, "nonintegrable/closed-form", "integrable/closed-form")
-
-
 def varied(system, B=(1.0,), delta=(1.0,), c=1.0, D=1.0):
     """The system with its parameters times these factors, each of a contact or a mass."""
     contacts = tuple(
@@ -89,22 +83,27 @@ SCENES = {
 }  # fmt: skip
 
 
-def page_says(browser, outcome, folder):
-    """What the page of a run answers to the script, with the factors as run and varied."""
-    write_report(outcome, digest_of(outcome), folder)
-    browser.open((folder / "report.html").as_uri(), width=1280)
-    asked = {"factors": {"as run": {}, "varied": FACTORS, "damped": DAMPED}, "at": AT}
-    return browser.result(f"const ASKED = {json.dumps(asked)};" + SCRIPT)
+@pytest.fixture
+def page_says(browser, solved, scene_text, tmp_path):
+    """The system of one of ``SCENES``, and what the page of its run answers to the script."""
+
+    def ask(name):
+        text = scene_text.replace('["q2", "H"]', json.dumps(OBSERVABLES))
+        for old, new in SCENES[name]:
+            text = text.replace(old, new)
+        outcome = solved(text, "nonintegrable/closed-form", "integrable/closed-form")
+        write_report(outcome, digest_of(outcome), tmp_path)
+        browser.open((tmp_path / "report.html").as_uri(), width=1280)
+        asked = {"factors": {"as run": {}, "varied": FACTORS, "damped": DAMPED}, "at": AT}
+        answers = browser.result(f"const ASKED = {json.dumps(asked)};" + SCRIPT)
+        return outcome.scene.system, answers
+
+    return ask
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_closed_forms_are_those_of_python(name, browser, solved, scene_text, tmp_path):
-    text = scene_text.replace('["q2", "H"]', json.dumps(OBSERVABLES))
-    for old, new in SCENES[name]:
-        text = text.replace(old, new)
-    outcome = solved(text, "nonintegrable/closed-form", "integrable/closed-form")
-    out = page_says(browser, outcome, tmp_path)
-    system = outcome.scene.system
+def test_closed_forms_are_those_of_python(name, page_says):
+    system, out = page_says(name)
     for key, factors in (("as run", {}), ("varied", FACTORS), ("damped", DAMPED)):
         largest = correlations(modal_analysis(varied(system, **factors))).max()
         assert out["neglected"][key] == pytest.approx(largest, rel=1e-9)
@@ -121,13 +120,13 @@ def test_closed_forms_are_those_of_python(name, browser, solved, scene_text, tmp
         assert np.max(np.abs(np.array(out["values"]["as run"]["q2"]["energy"]) / wrong - 1)) > 1e-3
 
 
-def test_sliders_are_moved(browser, outcome, tmp_path):
-    out = page_says(browser, outcome, tmp_path)
+def test_sliders_are_moved(page_says):
+    system, out = page_says("hertz")
     assert out["paths"] == 2
     assert out["afterSlider"] == 4 and out["B"].endswith("B = 100")
     slid = out["slid"][0]
     method = method_for("nonintegrable", "closed-form", tol=1e-11)
-    stiffer = varied(outcome.scene.system, B=[10.0])
+    stiffer = varied(system, B=[10.0])
     (density,) = method.solve(stiffer, (parse_observable("q2", 2),)).densities
     value = density(np.array([slid["x"]]))[0]
     assert abs(slid["p"] - value) <= slid["error"] < 1e-9 * value

@@ -9,7 +9,7 @@ from cases.scene.scene import load_scene
 from cases.show.study_page import Table
 from cases.study import prices
 from cases.study.cost import CostStudy, coarsest_routes, equation_routes
-from cases.study.equations import energy_density, energy_equation, errors
+from cases.study.equations import energy_equation
 from cases.study.law import FULL, Law, price_schemes, price_solutions
 from cases.study.levels import Level
 from cases.study.prices import NotTimed, Priced, crossovers, passage_routes, price_list
@@ -131,35 +131,6 @@ def test_the_cheapest_path_of_a_law_meets_its_error_and_is_the_cheapest(order):
             assert law.seconds((law.noise / left) ** 2, other) > law.seconds(sampled, dt)
 
 
-@pytest.fixture(scope="module")
-def table_of_fig6b():
-    """The part of the table of fig6b that is said to hold for other scenes: ten digits."""
-    equation = energy_equation(load_scene("fig6b").system)
-    steered = [c for c in coarsest_routes(equation) if c.family == "tol"]
-    assert {c.name for c in steered} == {"nonintegrable/fem", "nonintegrable/quadrature"}
-    good = equation_routes(equation, steered)
-    assert all(isinstance(r, Priced) for r in good)
-    return price_list(good, promised=True)
-
-
-@pytest.mark.parametrize(
-    "scene", ["fig6c", "fig4b", pytest.param("three-mass", marks=pytest.mark.slow)]
-)
-def test_settings_of_one_scene_keep_their_digits_on_others(table_of_fig6b, scene):
-    equation = energy_equation(load_scene(scene).system)
-    assert equation.reference_words == "closed form (29)" and len(table_of_fig6b) == 10
-    routes = {route.label: solve for route, solve in equation.by_tolerance.items()}
-    settings = {}
-    for c in table_of_fig6b:
-        settings.setdefault((c["route"], c["point"].promised), []).append(c["digits"])
-    for (name, tol), digits in settings.items():
-        solution = routes[name](equation.process, tol=tol)
-        answer = energy_density(equation.reference.observable, solution)
-        true = errors(answer, equation.reference)["L1"]
-        assert true <= 10.0 ** -max(digits)
-        assert true <= answer.l1_error + equation.reference.l1_error
-
-
 @pytest.mark.slow
 def test_the_command_prices_ten_digits_and_leaves_a_diagram(answer, tmp_path):
     record = answer("cost", "fig6b", "--out", tmp_path)
@@ -224,21 +195,6 @@ def test_the_page_says_where_a_solution_overtakes_sampling(solved, where):
     assert len(table.remarks) == 1 and f"p overtakes sampling {where}" in table.remarks[0]
 
 
-@pytest.mark.slow
-def test_the_failure_rate_is_priced_by_every_route_that_solves_it():
-    scene = load_scene("cir")
-    routes = passage_routes(scene.system, scene.passages[0], simulate=False, seed=1)
-    priced = {route.route: route for route in routes if isinstance(route, Priced)}
-    assert {"nonintegrable/fem", "nonintegrable/closed-form"} <= priced.keys()
-    for route in priced.values():
-        assert "relative error of the failure rate" in route.axis
-        # The full equation is solved to 1e-6 where nothing is asked for, the averaged one to 1e-10.
-        least = 1e-6 if route.route == "phase-space" else 1e-10
-        assert all(p.honest and p.seconds > 0.0 and p.error < least for p in route.points)
-    refused = {route.route: route.reason for route in routes if isinstance(route, NotTimed)}
-    assert "quadrature" in refused["nonintegrable/quadrature"]
-
-
 def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
     scene = load_scene("cir")
     right = prices._rate
@@ -254,3 +210,9 @@ def test_a_wrong_failure_rate_is_not_timed(monkeypatch):
     (caught,) = (route for route in routes if isinstance(route, NotTimed) and route.wrong)
     # Which of both is wrong nobody knows: the one is caught that states the larger error.
     assert caught.distance == pytest.approx(1e-3, rel=0.01)
+    priced = [route for route in routes if isinstance(route, Priced)]
+    assert all("relative error of the failure rate" in route.axis for route in priced)
+    assert {"nonintegrable/fem", "nonintegrable/closed-form"} > {route.route for route in priced}
+    assert priced and all(p.honest and p.error < 1e-10 for r in priced for p in r.points)
+    refused = {route.route: route.reason for route in routes if isinstance(route, NotTimed)}
+    assert "quadrature" in refused["nonintegrable/quadrature"]

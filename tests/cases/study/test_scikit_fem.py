@@ -10,7 +10,7 @@ from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from cases.scene.scene import load_scene, shipped_scenes
 from cases.study.equations import energy_equation, modal_equation
-from cases.study.orders import NEAR_THEORY, observed_orders
+from cases.study.orders import NEAR_THEORY
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable, NotCertified
@@ -45,27 +45,22 @@ def test_it_answers_every_shipped_scene_within_its_stated_error(name):
         assert l1_distance(wrong, slow) > wrong.l1_error + slow.l1_error
 
 
-@pytest.mark.parametrize("degree", [1, 4])
-def test_orders_of_one_energy_are_those_of_theory(degree):
-    equation = energy_equation(load_scene("fig6b").system, "scikit-fem")
+@pytest.mark.parametrize(
+    ("equation_of", "degree"),
+    [
+        (energy_equation, 1),
+        (energy_equation, 4),
+        (modal_equation, 2),
+        pytest.param(modal_equation, 3, marks=pytest.mark.slow),
+    ],
+)
+def test_orders_are_those_of_theory(equation_of, degree):
+    equation = equation_of(load_scene("fig6b").system, "scikit-fem")
     ladder = equation.study(equation.elements(degree)).ladder()
     orders = np.array(ladder.verdicts["L1"].orders[-2:])
     assert ladder.verdicts["L1"].kind == "asymptotic"
     assert np.all(np.abs(orders - degree - 1) < NEAR_THEORY)
     assert all(level.honest for level in ladder.levels)
-
-
-@pytest.mark.parametrize("degree", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_orders_of_two_energies_are_those_of_theory(degree):
-    equation = modal_equation(load_scene("fig6b").system, "scikit-fem")
-    setting, found = equation.elements(degree), []
-    for _ in range(4):
-        found.append(setting.solve().density)
-        setting = setting.refined()
-    grid = [np.linspace(0.0, end, 200) for end in equation.ends]
-    exact = equation.reference(grid[0][:, None], grid[1])
-    errors = [np.abs(p(grid[0][:, None], grid[1]) - exact).mean() for p in found]
-    assert abs(observed_orders(2.0 ** -np.arange(4.0), errors)[-1] - degree - 1) < 2.0 * NEAR_THEORY
 
 
 def test_it_is_taken_only_where_it_is_named(fpk):

@@ -11,7 +11,6 @@ from math import sqrt
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.linalg import solve_continuous_lyapunov
 from scipy.special import erfc, expi
 
 import fpk as face
@@ -24,6 +23,7 @@ from cases.show.pictures.draw import study_figure
 from cases.study.regime_map import build_map
 from cases.study.sweep.grid import parse_axes
 from fpk.answer.quantities import Number
+from fpk.system.linear import stationary_covariance
 
 FREE = face.System([1, 2], [1, 3], [0.1, 0.2], [[0.02, 0.01], [0.01, 0.04]])
 ROUND_OFF = 1e-12
@@ -42,17 +42,6 @@ def assert_values(result, expected, *, most=1.0):
     assert np.all(error < 1e-6 * np.abs(expected))
 
 
-def covariance(system):
-    """P of (q, v) by the Lyapunov equation A P + P Aᵀ + 2 f D fᵀ = 0, written here anew."""
-    n, m = system.n, 1.0 / system.mass[:, None]
-    drift = np.block(
-        [[np.zeros((n, n)), np.eye(n)], [-m * system.stiffness_matrix, -m * system.damping]]
-    )
-    noise = np.zeros((2 * n, 2 * n))
-    noise[n:, n:] = 2.0 * m * system.noise_matrix * m.T
-    return solve_continuous_lyapunov(drift, -noise)
-
-
 @pytest.mark.parametrize(
     ("path", "own", "values"),
     [
@@ -63,39 +52,37 @@ def covariance(system):
          [-0.02, 0.005]),
     ],
 )  # fmt: skip
-def test_quantities_of_a_linear_scene_are_those_of_lyapunov_and_of_a_gaussian(path, own, values):
+def test_quantities_of_a_linear_scene_are_those_of_a_gaussian(path, own, values):
     names = ["rms(q2)", "exceedance(q2,0.4)", "upcrossing_rate(q2,0.3)", "correlation(q1,q2)",
              "covariance(q1,p2)"]  # fmt: skip
     expected = []
     for value in values:
         system = replace(FREE, **own(value))
-        P = covariance(system)
+        P = stationary_covariance(system)
         rms = sqrt(P[1, 1])
         # Rice: ν(a) = σ_v/(2πσ_q) exp(−a²/2σ_q²).
-        rate = sqrt(P[3, 3]) / rms / (2.0 * np.pi) * np.exp(-0.045 / P[1, 1])
+        rate = sqrt(P[3, 3]) / system.mass[1] / rms / (2.0 * np.pi) * np.exp(-0.045 / P[1, 1])
         correlation = P[0, 1] / sqrt(P[0, 0] * P[1, 1])
         beyond = 0.5 * erfc(0.4 / (sqrt(2.0) * rms))
-        expected.append([rms, beyond, rate, correlation, system.mass[1] * P[0, 3]])
+        expected.append([rms, beyond, rate, correlation, P[0, 3]])
     result = face.sweep(FREE, {path: values}, names, methods=["linear"])
     assert_values(result, np.transpose(expected), most=10.0)
 
 
-def test_relaxation_rates_are_those_of_the_drift_matrix_and_of_a_square_root_process():
-    # One mass without contact: λ = c/2m ± iω and sums of them; the averaged energy has k c/m.
-    system = face.System([2], [1], [0.1], [0.05])
+def test_rates_and_passage_of_one_mass_are_those_of_a_square_root_process():
+    """Damping c: λ = c/2m ± iω of the full system and sums of them, k c/m of the averaged energy.
+
+    First passage with x = c H_f/D: mean (Ei(x) − ln x − γ)/c; the rate a root of 1F1(−λ/c; 1; x).
+    """
     c = np.array([0.1, 0.2])
     names = [f"relaxation_rate({k})" for k in (2, 3, 1)]
     # Of the pairs (λ, λ*), (2λ, 2λ*) and λ + λ*: c/2m once, then c/m twice.
     known = {"linear": (c / 2, c / 2, c / 4), "nonintegrable": (c, 1.5 * c, c / 2)}
     for method, expected in known.items():
+        system = face.System([2], [1], [0.1], [0.05])
         result = face.sweep(system, {"system.damping[1]": c}, names, methods=[method])
         assert_values(result, expected)
-
-
-def test_passage_of_a_square_root_process():
-    """Of x = c H_f/D: mean (Ei(x) − ln x − γ)/c; the rate λ is a root of 1F1(−λ/c; 1; x)."""
     system = face.System([1], [1], [0.1], [0.05])
-    c = np.array([0.1, 0.2])
     names = ["failure_rate(H=1.5)", "mean_passage(H=1.5)"]
     result = face.sweep(system, {"system.damping[1]": c}, names, methods=["nonintegrable"])
     x = c * 1.5 / 0.05
