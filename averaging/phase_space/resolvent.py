@@ -25,7 +25,7 @@ only."""
 SAME_RATE = 1e-6
 """Relative difference below which two eigenvalues count as a multiple eigenvalue."""
 OVERLAP = 0.9
-"""Radius about a shift within which all eigenvalues count as found, over the distance to the nearest
+"""Radius about a shift within which all eigenvalues count as found over the distance to the nearest
 eigenvalue that has not converged. The next shift lies beyond the part of a line Re λ that discs
 cover by this share of the shortest half chord."""
 DISCS = 40
