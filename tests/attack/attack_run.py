@@ -4,7 +4,7 @@ import warnings
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from attack_references import Chain, EnergyReference, LinearReference, ModalReference, Stop, Term
+from references import Chain, EnergyReference, LinearReference, ModalReference, Stop, Term
 
 from averaging.gaussian import Linear
 from averaging.integrable import Integrable

@@ -1,14 +1,14 @@
 """Certificates of the Gaussian and of modal densities: measured, and judged by the tolerance."""
 
-import mpmath
 import numpy as np
 import pytest
 from asked import solved
+from references import LinearReference, chain_of, mp
 
 from averaging import Integrable, Linear
 from averaging.modal.analysis import ModalAnalysis
 from fpk.answer.names import parse_observable
-from fpk.system.linear import diffusion_matrix, drift_matrix, linear_covariance
+from fpk.system.linear import linear_covariance
 from fpk.system.system import System
 
 
@@ -53,48 +53,30 @@ def linear_system(rng):
     )
 
 
-def exact_covariance(system):
-    """Covariance of (q, p) in forty digits: A Σ + Σ Aᵀ + b = 0 as a system of (2n)² equations."""
-    n, mp = 2 * system.n, mpmath
-    A = mp.matrix(drift_matrix(system).tolist())
-    m, k = ([mp.mpf(float(x)) for x in y] for y in (system.mass, system.stiffness))
-    for i in range(system.n):  # entries that are rounded in double
-        A[i, system.n + i] = 1 / m[i]
-        A[system.n + i, i] = -k[i] - (k[i + 1] if i + 1 < system.n else 0)
-        for j in range(system.n):
-            A[system.n + i, system.n + j] = -mp.mpf(float(system.damping[i, j])) / m[j]
-    M, one = mp.matrix(n * n, n * n), mp.eye(n)
-    for i, j, a, c in np.ndindex(n, n, n, n):
-        M[n * i + j, n * a + c] = A[i, a] * one[j, c] + one[i, a] * A[j, c]
-    x = mp.lu_solve(M, mp.matrix((-diffusion_matrix(system).ravel()).tolist()))
-    return mp.matrix([[x[n * i + j] for j in range(n)] for i in range(n)])
-
-
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (20261122, 2, 3, 4, 5))]
 )
 def test_random_linear_systems_keep_to_their_error(seed):
     rng = np.random.default_rng(seed)
     system = linear_system(rng)
-    with mpmath.workdps(40):
-        S = exact_covariance(system)
-        modal = system.fact(linear_covariance)
-        momenta = system.mass[:, None] * modal.shapes
-        back = np.kron(np.diag([1.0, 0.0]), modal.shapes / modal.omega)
-        back += np.kron(np.diag([0.0, 1.0]), momenta)
-        factor = mpmath.matrix((back @ modal.axes * np.sqrt(modal.variance)).tolist())
-        # Relative error as a quadratic form: the largest eigenvalue of L⁻¹ (F Fᵀ − Σ) L⁻ᵀ.
-        inverse = mpmath.inverse(mpmath.cholesky(S))
-        form = inverse * (factor * factor.T - S) * inverse.T
-        error = max(abs(float(x)) for x in mpmath.eigsy(form, eigvals_only=True))
-        assert error <= modal.relative_error < 1e-9, (error, modal.relative_error)
-        densities = solved(Linear(), system, "q1", f"p{system.n}")
-        for density, i in zip(densities, (0, 2 * system.n - 1), strict=True):
-            for y in rng.normal(size=3):
-                exact = mpmath.npdf(float(y)) / mpmath.sqrt(S[i, i])
-                p, stated = density.at(np.array([float(y * mpmath.sqrt(S[i, i]))]))
-                assert abs(p[0] - float(exact)) <= stated[0], density.name
-            assert density.certificate.certified, density.certificate
+    S = LinearReference(chain_of(system)).covariance
+    modal = system.fact(linear_covariance)
+    momenta = system.mass[:, None] * modal.shapes
+    back = np.kron(np.diag([1.0, 0.0]), modal.shapes / modal.omega)
+    back += np.kron(np.diag([0.0, 1.0]), momenta)
+    factor = mp.matrix((back @ modal.axes * np.sqrt(modal.variance)).tolist())
+    # Relative error as a quadratic form: the largest eigenvalue of L⁻¹ (F Fᵀ − Σ) L⁻ᵀ.
+    inverse = mp.inverse(mp.cholesky(S))
+    form = inverse * (factor * factor.T - S) * inverse.T
+    error = max(abs(float(x)) for x in mp.eigsy(form, eigvals_only=True))
+    assert error <= modal.relative_error < 1e-9, (error, modal.relative_error)
+    densities = solved(Linear(), system, "q1", f"p{system.n}")
+    for density, i in zip(densities, (0, 2 * system.n - 1), strict=True):
+        for y in rng.normal(size=3):
+            exact = mp.npdf(float(y)) / mp.sqrt(S[i, i])
+            p, stated = density.at(np.array([float(y * mp.sqrt(S[i, i]))]))
+            assert abs(p[0] - float(exact)) <= stated[0], density.name
+        assert density.certificate.certified, density.certificate
 
 
 @pytest.mark.parametrize("name", ["q1", "p2", "H"])

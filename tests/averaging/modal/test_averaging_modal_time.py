@@ -17,6 +17,7 @@ from asked import (
 )
 from mpmath import findroot, hyp1f1
 from numpy.testing import assert_allclose
+from references import EnergyReference, Term, chain_of
 from scipy.integrate import quad
 
 from averaging.integrable import Integrable
@@ -178,24 +179,6 @@ def test_decoupled_modes_are_solved_one_by_one(tol=1e-5):
     assert_known(three[2][1], [H], fall(H) / norm, rounding=1e-11 / norm)
 
 
-def exact_factor(h0, h1, freedoms, x2):
-    """∫exp(−E(½x² + R)) R^(f/2 − 1) dR for E = h0 H + ½ h1 H², over f coordinates of R."""
-
-    def density(half):
-        def value(R):
-            H = half + R
-            return np.exp(-h0 * H - 0.5 * h1 * H * H - (0.5 * h0**2 / h1 if h0 < 0 else 0.0))
-
-        if freedoms == 0:
-            return float(value(0.0))
-        # R = r²: the weight R^(f/2 − 1) dR is 2 r^(f − 1) dr.
-        end = 2.0 * (np.sqrt(abs(h0) / h1) + np.sqrt(12.0 / np.sqrt(h1)))
-        tols = {"epsabs": 0.0, "epsrel": 1e-12, "limit": 200}
-        return quad(lambda r: 2.0 * r ** (freedoms - 1) * value(r * r), 0.0, end, **tols)[0]
-
-    return np.array([density(half) for half in np.ravel(x2)]).reshape(np.shape(x2))
-
-
 @pytest.mark.parametrize(
     ("h0", "h1", "tol"),
     [(-6.0, 40.0, 1e-6), pytest.param(0.4, 2.0, 1e-10, marks=pytest.mark.slow)],
@@ -215,20 +198,20 @@ def test_exact_density_over_phase_space(h0, h1, tol):
         assert_known(density, points, exact, rounding=1e-11 * exact.max())
         assert density.l1_error <= tol
 
+    terms = tuple(Term(i, h1 * system.noise_matrix[i, i], "H") for i in range(2))
+    reference = EnergyReference(chain_of(system, terms))
     # E = ½ Σ y² over 2n = 4 scaled coordinates: each observed one takes a freedom away.
     H = scale * np.linspace(0.0, 4.0, 9)
-    whole = exact_factor(h0, h1, 4, np.array([0.0]))[0]
-    compare(total, [H], H * exact_factor(h0, h1, 0, H), whole)
-    compare(one, [H], exact_factor(h0, h1, 2, H), whole)
+    whole = reference.weyl(2.0, np.zeros(1))[0]
+    compare(total, [H], H * reference.weyl(0.0, H), whole)
+    compare(one, [H], reference.weyl(1.0, H), whole)
     x, y = scale * rng.exponential(size=(2, 20))
-    compare(energies, [x, y], exact_factor(h0, h1, 0, x + y), whole)
-    # Over directions: the share of one of 4 coordinates y is Γ(2)/(Γ(½) Γ(3/2)) = 2/π of it, with
-    # dy = √2 d√(½y²) and of a pair 1/(2π).
+    compare(energies, [x, y], reference.weyl(0.0, x + y), whole)
     y1 = np.sqrt(scale) * np.linspace(-3.0, 3.0, 13)
-    single = exact_factor(h0, h1, 3, 0.5 * y1**2) * np.sqrt(2.0) / np.pi
+    single = reference.weyl(1.5, 0.5 * y1**2) / np.sqrt(2.0 * np.pi)
     for density, size in ((q1, compliance[0, 0]), (p2, system.mass[1])):
         compare(density, [y1 * np.sqrt(size)], single / np.sqrt(size), whole)
     y2 = np.sqrt(scale) * rng.normal(size=(2, 20))
-    double = exact_factor(h0, h1, 2, 0.5 * np.sum(y2**2, axis=0)) / (2.0 * np.pi)
+    double = reference.weyl(1.0, 0.5 * np.sum(y2**2, axis=0)) / (2.0 * np.pi)
     L = np.linalg.cholesky(compliance)
     compare(both, list(L @ y2), double / np.linalg.det(L), whole)

@@ -1,6 +1,7 @@
 """Energy shells: one, two and three contact masses against independent integrals and limits."""
 
 from itertools import pairwise
+from math import factorial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.special import beta, betainc
 from systems import SKEW, both, chain, fig6
 
 from averaging.nonintegrable import NonIntegrable
-from averaging.shell.averages import shell_averages
+from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.shell.rays import EnergyShell
 from fpk import Contact, System
 from fpk.answer.density import l1_distance
@@ -29,6 +30,15 @@ def test_below_contact_the_ratios_are_exactly_one(n):
         assert np.all(part == 1.0)
     assert np.all(below.log_slope == n - 1.0) and np.all(below.error == 0.0)
     assert ratios(system, 0.125 / n * 1.5).states[0] < 1.0
+
+
+@pytest.mark.parametrize("n", [1, 3, 10])
+def test_without_contact_the_states_are_those_of_an_ellipsoid(n):
+    # The volume of a ball of 2n dimensions is π^n/n! r^2n, and H = ½ r²: T = dΦ/dH.
+    system, H = fig6(n=n, mass=np.linspace(0.5, 3.0, n)), 0.7
+    axes = np.prod(system.mass) / np.linalg.det(system.stiffness_matrix)
+    volume = (2.0 * np.pi * H) ** n / factorial(n) * np.sqrt(axes)
+    assert log_linear_states(system, H) == pytest.approx(np.log(n * volume / H), rel=1e-12)
 
 
 THREE = (Contact(1, "both", 5.0, 0.3), Contact(2, "both", 10.0, 0.5), Contact(3, "both", 8.0, 0.8))

@@ -74,6 +74,13 @@ class Chain(NamedTuple):
         return 0.5 * stop.clearance**2 / self.compliance(-1, stop.index)
 
 
+def chain_of(system, terms=()):
+    """The numbers of a record of the product that has no other damping terms than ``terms``."""
+    stops = (Stop(s.index, s.sign, s.stiffness, s.clearance, s.power) for s in system.stops)
+    numbers = system.mass, system.stiffness, system.damping, system.noise_matrix
+    return Chain(*numbers, tuple(stops), terms)
+
+
 def pieces(f, cuts):
     """∫f over the pieces between ``cuts`` (..., m + 1), ascending; ``f`` takes (..., m, nodes).
 
