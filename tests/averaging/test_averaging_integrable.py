@@ -110,24 +110,6 @@ def test_sum_of_exponentials_against_convolution_in_forty_digits(theta):
     assert np.all(np.abs(p - exact) <= error + 1e-50)
 
 
-def test_back_transformation_is_gaussian_with_modal_temperatures():
-    # Through the modes one by one: Q_i and P_i of mode i have the variances θ/K* and θ M*.
-    system = SYSTEMS["three, full"]
-    modes, n = modal_analysis(system), system.n
-    T, covariance = modes.mode_shapes, modal_covariance(modes)
-    MT = np.diag(system.mass) @ T
-    q = (T * (modes.temperature / modes.natural_frequency**2)) @ T.T
-    p = (MT * modes.temperature) @ MT.T
-    np.testing.assert_allclose(covariance[:n, :n], q, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(covariance[n:, n:], p, rtol=1e-12, atol=1e-15)
-    assert not covariance[:n, n:].any()
-    one, two, joint = solved(Integrable(), system, "q3", "p3", "q1,q2")
-    assert one.moment(2).value == pytest.approx(q[2, 2], rel=1e-12)
-    assert two.moment(2).value == pytest.approx(p[2, 2], rel=1e-12)
-    assert joint.moment(1, 1).value == pytest.approx(q[0, 1], rel=1e-11)
-    assert joint.moment(0, 2).value == pytest.approx(q[1, 1], rel=1e-11)
-
-
 ALL = ("q1", "q2", "p1", "p2", "H", "q2,p2", "q1,q2", "q1,p2")
 
 
@@ -246,26 +228,6 @@ def test_what_is_left_out_is_said():
     assert l1_distance(result.densities[0], free.densities[0]) == 0.0
     ratios = [s.ratio for s in stop_clearances(system)]
     assert ratios[0] == pytest.approx(1.5 / np.sqrt(stationary_covariance(system)[1, 1]))
-
-
-STILL = 0.1 * np.outer(*(2 * [np.linalg.inv(modal_analysis(fig6()).mode_shapes)[1]]))
-"""Damping or noise on mode 2 alone: c = M T⁻ᵀ diag(0, 1) T⁻¹ M."""
-
-
-@pytest.mark.parametrize(
-    "method, system, observable, reason",
-    [
-        (Integrable(), System([1, 1], [1, 1], [0.1, 0.1], STILL), "q1", "mode 1 .* no noise"),
-        (Integrable(), System([1.0], [1.0], [0.1], [0.0]), "H1", "mode 1 .* no noise"),
-        (Integrable(), System([1, 1], [1, 1], STILL, [0.1, 0.1]), "q1", "mode 1 .* not damped"),
-        (Integrable(), fig6(), "H,H1", "both must be modal energies"),
-        (Integrable(), fig6(), "p1,H", "both must be modal energies"),
-        (Integrable("fem"), fig6(), "q2", "use closed-form"),
-        (Integrable("quadrature"), fig6(), "q1,p1", "use closed-form"),
-    ],
-)  # fmt: skip
-def test_a_refusal_gives_its_reason(method, system, observable, reason):
-    assert_refusal(method, system, observable, reason)
 
 
 @pytest.mark.parametrize("method", [Integrable, NonIntegrable, Linear])

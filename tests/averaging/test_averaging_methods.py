@@ -1,14 +1,16 @@
 """Exact, Gaussian and averaged densities against each other and against direct integrals."""
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
-from asked import assert_known, assert_refusal, solved
-from scipy.linalg import block_diag
+from asked import assert_known, assert_refusal, noise_proportional, solved
 from systems import TWO_MASSES, both, chain, exact_system, fig6
 
-from averaging import Exact, Linear, NonIntegrable
+from averaging import Exact, Integrable, Linear, NonIntegrable
 from averaging.energy_process import compatibility
+from averaging.modal.analysis import modal_analysis
 from cases.scene.scene import load_scene
 from fpk import Contact, DampingTerm, System
 from fpk.answer.density import l1_distance
@@ -45,25 +47,31 @@ def test_condition_8(damping, noise, h):
     np.testing.assert_allclose(stationary_covariance(system)[:2, :2], expected, rtol=1e-9)
 
 
-CONTACTS = {
-    "stiff": both(1e4),
-    "right": (Contact(2, "right", 10.0, 0.5),),
-    "mass 1": both(10.0, mass=1),
-    "zero clearance": both(10.0, 0.0),
+FED = noise_proportional(-50.0, 100.0, scale=0.1)
+"""Fed below H = ½, damped above."""
+PROPORTION = {
+    "stiff": exact_system(both(1e4)),
+    "right": exact_system((Contact(2, "right", 10.0, 0.5),)),
+    "mass 1": exact_system(both(10.0, mass=1)),
+    "zero clearance": exact_system(both(10.0, 0.0)),
+    "fed": FED,
+    "fed, with a stop": replace(noise_proportional(-0.5, 1.0), contacts=both(10.0)),
 }
 
 
 @pytest.mark.parametrize(
-    "contact, solver",
+    "name, solver",
     [
         ("stiff", "fem"),
         ("right", "quadrature"),
         ("mass 1", "closed-form"),
+        *(("fed", s) for s in SOLVERS),
         *(pytest.param("zero clearance", s, marks=pytest.mark.slow) for s in SOLVERS),
+        *(pytest.param("fed, with a stop", s, marks=pytest.mark.slow) for s in SOLVERS),
     ],
 )
-def test_averaging_is_exact_where_damping_and_noise_are_in_proportion(contact, solver):
-    system, i = exact_system(CONTACTS[contact]), 1 if contact == "mass 1" else 2
+def test_averaging_is_exact_where_damping_and_noise_are_in_proportion(name, solver):
+    system, i = PROPORTION[name], 1 if name == "mass 1" else 2
     # The joint density with a contact mass integrated out takes a minute and is left out.
     names = f"q{i}", "H", f"q{i},p{i}", f"q{3 - i}", "p1", "p2"
     averaged = solved(NonIntegrable(solver, tol=1e-11), system, *names)
@@ -71,21 +79,6 @@ def test_averaging_is_exact_where_damping_and_noise_are_in_proportion(contact, s
         distance = l1_distance(one, two)
         assert distance < 1e-10, one.name
         assert distance <= one.l1_error + two.l1_error + 1e-12, one.name
-
-
-def test_gaussian_densities_have_the_moments_of_the_covariance():
-    system = fig6(mass=(0.5, 3.0))
-    S = stationary_covariance(system)
-    (joint,) = solved(Linear(), system, "q1,p2")
-    assert joint.moment(2, 0).value == pytest.approx(S[0, 0], rel=1e-12)
-    size = np.sqrt(S[0, 0] * S[3, 3])
-    assert joint.moment(1, 1).value == pytest.approx(S[0, 3], abs=1e-12 * size)
-    # H = ½ xᵀ G x: mean ½ tr(G Σ), variance ½ tr((G Σ)²).
-    (density,) = solved(Linear(), system, "H")
-    GS = block_diag(system.stiffness_matrix, np.diag(1.0 / system.mass)) @ S
-    mean, variance = 0.5 * np.trace(GS), 0.5 * np.trace(GS @ GS)
-    for power, expected in enumerate((1.0, mean, variance + mean**2)):
-        assert density.moment(power).value == pytest.approx(expected, rel=1e-11)
 
 
 def test_a_pair_in_one_proportion_has_no_joint_density():
@@ -121,6 +114,8 @@ def test_the_stated_error_holds_where_the_density_underflows(method):
 
 TOUCHING = fig6(both(10.0))
 ALL_TOUCH = chain(3, (*TWO_MASSES, Contact(3, "both", 8.0, 0.4)))
+STILL = 0.1 * np.outer(*(2 * [np.linalg.inv(modal_analysis(fig6()).mode_shapes)[1]]))
+"""Damping or noise on mode 2 alone: c = M T⁻ᵀ diag(0, 1) T⁻¹ M."""
 SILENT, UNDAMPED = (System([1.0], [1.0], [c], [D]) for c, D in ((0.1, 0.0), (0.0, 0.1)))
 
 
@@ -138,6 +133,13 @@ SILENT, UNDAMPED = (System([1.0], [1.0], [c], [D]) for c, D in ((0.1, 0.0), (0.0
         (Linear(), fig6(), "H1", "total energy only"),
         (Linear(), UNDAMPED, "q1", "not damped"),
         (Linear(), SILENT, "q1", "no noise"),
+        (Integrable(), System([1, 1], [1, 1], [0.1, 0.1], STILL), "q1", "mode 1 .* no noise"),
+        (Integrable(), SILENT, "H1", "mode 1 .* no noise"),
+        (Integrable(), System([1, 1], [1, 1], STILL, [0.1, 0.1]), "q1", "mode 1 .* not damped"),
+        (Integrable(), fig6(), "H,H1", "both must be modal energies"),
+        (Integrable(), fig6(), "p1,H", "both must be modal energies"),
+        (Integrable("fem"), fig6(), "q2", "use closed-form"),
+        (Integrable("quadrature"), fig6(), "q1,p1", "use closed-form"),
     ],
 )
 def test_a_refusal_gives_its_reason(method, system, observable, reason):

@@ -5,13 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from asked import assert_known, refusal, solved
-from processes import integral, refined_nodes
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from systems import SKEW, TWO_MASSES, both, chain, fig6
+from systems import both, chain, fig6
 
-from averaging import Exact, NonIntegrable
-from averaging.energy_process import closed_form_density, compatibility, energy_process
+from averaging import NonIntegrable
+from averaging.energy_process import compatibility, energy_process
 from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.zero_flux import solve_by_quadrature
 from fpk import Contact, DampingTerm, System
@@ -63,67 +62,6 @@ def test_coefficients_are_those_of_eq_25(mass, contacts, energy):
     # T of (10), (25) counts ∂H/∂p_1 > 0 only: half the density of states.
     states = np.exp(log_linear_states(system, at)) * shell_averages(system, at).states
     assert states[0] == pytest.approx(2.0 * T, rel=1e-7)
-
-
-FULL = [[0.1, 0.03], [0.01, 0.2]], [[0.1, 0.02], [0.02, 0.05]]
-SYSTEMS = {
-    "masses": fig6(both(10.0), mass=(0.5, 3.0)),
-    "stiff": fig6(both(1e4)),
-    "skew": fig6(SKEW),
-    "two contact masses": fig6(TWO_MASSES),
-    "n = 1": chain(1, both(10.0, mass=1)),
-    "n = 10": chain(10, both(10.0, mass=10)),
-    "full noise": System([1.0, 2.0], [1.0, 1.0], *FULL, contacts=both(10.0)),
-}
-
-
-@pytest.mark.parametrize("name", ["masses", "skew", "n = 1", "n = 10"])
-def test_quadrature_of_eq_11_meets_its_estimate(name):
-    system = SYSTEMS[name]
-    process, reference = energy_process(system), closed_form_density(system)
-    # Two contact masses take seconds at the tight tolerance.
-    for tol in (1e-6,) if name == "skew" else (1e-6, 1e-10):
-        solution = solve_by_quadrature(process, tol=tol)
-        error = integral(
-            lambda H, s=solution: abs(np.exp(s.log_density(H)) - reference.density(H)),
-            refined_nodes(solution.nodes, reference.nodes),
-        )
-        assert error <= solution.l1_error + reference.l1_error
-        assert solution.l1_error <= max(10.0 * tol, 1e-9)
-        assert solution.measured.mass_defect <= solution.l1_error
-
-
-NAMES = ("H", "q1", "q2", "p2", "q2,p2")
-
-
-def proportional(noise, contacts=()):
-    """2 c = h b with h = (−0.05 + 0.1 H)/noise: fed below H = 0.5, damped above."""
-    D = noise * np.array([1.0, 2.0])
-    terms = tuple(DampingTerm(i + 1, i + 1, 0.1 * D[i] / noise, energy=1) for i in range(2))
-    return System(
-        [1.0, 2.0], [1.0, 1.5], -0.05 * D / noise, D, contacts=contacts, damping_terms=terms
-    )
-
-
-@pytest.mark.parametrize(
-    "noise, contacts", [(0.001, ()), pytest.param(0.1, both(10.0), marks=pytest.mark.slow)]
-)
-def test_every_route_gives_the_exact_density_where_8_holds(noise, contacts):
-    system = proportional(noise, contacts)
-    np.testing.assert_allclose(compatibility(system), [-0.05 / noise, 0.1 / noise], rtol=1e-14)
-    exact = solved(Exact(), system, *NAMES)
-    points = np.linspace(-1.8, 1.8, 25)
-    assert exact[1].moment(0).value == pytest.approx(1.0, abs=1e-12)
-    for solver in ("closed-form", "fem", "quadrature"):
-        for a, b in zip(exact, solved(NonIntegrable(solver), system, *NAMES), strict=True):
-            assert b.certificate.certified
-            where = (points,) if len(a.panels) == 1 else (points, 0.4 * points)
-            (p, dp), (r, dr) = a.at(*where), b.at(*where)
-            assert np.all(np.abs(p - r) <= dp + dr)
-            if len(a.panels) == 1:
-                distance = l1_distance(a, b)
-                assert distance <= a.l1_error + b.l1_error
-                assert distance < 1e-10
 
 
 def cycle(n, noise, contacts=()):
