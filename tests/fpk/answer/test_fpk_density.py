@@ -100,38 +100,6 @@ def test_standard_errors_are_those_of_the_multinomial():
     assert np.abs(z).max() < 5.0
 
 
-def z_scores(sampled, density):
-    """z of the smoothed values at every eleventh bin: their windows do not overlap."""
-    (edges,) = sampled.edges
-    centre = 0.5 * (edges[1:] + edges[:-1])
-    centre = centre[np.abs(centre) < 3.5][::11]
-    values, error = sampled.at(centre)
-    return (values - density.at(centre)[0]) / error
-
-
-def assert_unbiased(z):
-    # With 100 batches each z is Student's t of 99 degrees of freedom: one of 27 beyond 5.2 has
-    # the odds 1 in 35000; their mean square is 1.02 ± √(2.1/27), taken at 5 σ.
-    assert z.size >= 25
-    assert np.abs(z).max() < 5.2
-    assert np.mean(z * z) < 1.02 + 5.0 * np.sqrt(2.1 / z.size)
-
-
-def test_smoothing_is_unbiased_for_a_smooth_density():
-    # ln p of a normal density is a polynomial: there is no bias.
-    sampled = histogram()
-    assert_unbiased(z_scores(sampled, normal()))
-    # Smoothing pays: a polynomial of degree 8 on half of the bins, 240, has on the average 9/240 of
-    # the variance of one bin, more at its ends.
-    x = np.linspace(-2.5, -0.5, 41)
-    single = sampled.standard_error[np.searchsorted(sampled.edges[0], x)]
-    assert 0.1 < np.sqrt(np.mean((sampled.at(x)[1] / single) ** 2)) < 0.45
-    with pytest.raises(AssertionError):
-        assert_unbiased(z_scores(sampled, normal(0.05)))
-    with pytest.raises(AssertionError):
-        assert_unbiased(z_scores(sampled, normal(0.0, 1.03)))
-
-
 def test_coarser_bins_hold_the_same_mass(factor=48):
     sampled = histogram()
     coarse = sampled.joined(factor)

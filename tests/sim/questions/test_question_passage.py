@@ -1,7 +1,6 @@
 """First passage of the full system: exact judges, the order in dt, steps, estimates, refusals."""
 
 from dataclasses import replace
-from functools import partial
 from math import inf, sqrt
 from typing import Any
 
@@ -32,17 +31,15 @@ from fpk.system.contact import Contact
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.questions.limits import STEPS_SINCE_START, energies_of, stages
+from sim.questions.limits import STEPS_SINCE_START, stages
 from sim.questions.passage import estimates, tail_begin
 from sim.questions.passing import reader_of
 from sim.questions.rounds import Watch
 from sim.questions.splitting.run import Splitting, rare_failure
 from sim.sample.ensemble import ensemble_from
-from sim.step.arrays import LANES, in_blocks, in_rows
+from sim.step.arrays import LANES, in_blocks
 from sim.step.schemes import flow_covariance
 
-PATHS = 64 * LANES
-"""Trajectories by which ways to see a passage are compared: a share has the error 0.0055."""
 LOOSE = System([1.0], [1e-4], [1e-4], [0.5])
 """A mass whose own period is 628: noise alone moves it by 0.6 in the time 1."""
 PASSES = 0.3879686
@@ -87,50 +84,6 @@ def test_energy_of_a_lightly_damped_oscillator_is_the_square_root_process(
     slow_clock(monkeypatch)
     short = passed(oscillator(), "H=1.5", seconds=0.3, dt=0.1, seed=5)
     assert int(short.settings["not failed"]) > 0 and alike(whole.mean, short.mean)
-
-
-def look_at_the_steps(trace: Any, samples: int, done: int, time: Any, chance: Any, *, dt: float,
-                      row: int, limit: float) -> None:  # fmt: skip
-    """The naive reader: a limit is passed when a sample lies beyond it."""
-    for k in range(1, samples + 1):
-        beyond = (np.abs(trace[:, k, row]) >= limit) & np.isinf(time[:, 0])
-        time[:, 0][beyond] = (done + k) * dt
-
-
-def share_failed(limit: str, dts: Any, until: float, q0: float) -> Any:
-    """By a time the share that failed, (dts, 2): seen between the steps, and at the steps only.
-
-    All by the same random numbers: a step of 2 dt is two of dt.
-    """
-    system, asked, shares = oscillator(0.02), parse_limit(limit, 1), []
-    energies, q = energies_of(asked, 1), np.full((PATHS, 1), q0)
-    chance = np.random.default_rng(5).exponential(size=(PATHS, 1))
-    for dt in dts:
-        naive = partial(look_at_the_steps, dt=dt, row=2 * len(energies), limit=asked.value)
-        times = []
-        for read in (reader_of(system, asked, dt), naive):
-            motion = ensemble_from(system, q, 0.0 * q, dt, 3, energies=energies)
-            time = in_blocks(np.full((PATHS, 1), np.inf))
-            motion.advance(round(until / dt), time, in_blocks(chance), read=read)
-            times.append(in_rows(time)[:, 0])
-        shares.append([np.mean(t <= until) for t in times])
-    return np.array(shares)
-
-
-def test_a_look_at_the_steps_is_late_by_the_root_of_the_step_and_the_bridge_is_not() -> None:
-    # From 0.87 of the limit for two periods: about half fail. The naive loss falls as √dt, by 2 to
-    # dt/4; its chance is that of a difference of 0.03 at the least, 4 √2 errors or more. The
-    # answers of the bridge at all steps differ by less than that.
-    period, error = 2.0 * np.pi, np.sqrt(0.25 / PATHS)
-    shares = share_failed("H=1.5", period / np.array([16, 64, 256]), 2.0 * period, np.sqrt(2.6))
-    assert np.ptp(shares[:, 0]) < 4.0 * np.sqrt(2.0) * error
-    lost = shares[-1, 0] - shares[:, 1]
-    assert np.all(lost > 4.0 * error)
-    assert np.all((lost[:-1] / lost[1:] > 1.6) & (lost[:-1] / lost[1:] < 2.5))
-    # At 7.3 steps a period the steps miss the top of a cosine by up to 1 − cos(π/7.3) = 9 %.
-    shares = share_failed("q1=1.6", 0.86 * np.array([1.0, 0.125]), 12 * 0.86, 1.55)
-    assert abs(shares[0, 0] - shares[1, 0]) < 4.0 * np.sqrt(2.0) * error
-    assert shares[1, 0] - shares[0, 1] > 8.0 * error
 
 
 def test_without_noise_the_time_of_a_passage_is_that_of_the_cosine() -> None:
@@ -269,7 +222,7 @@ def test_the_tail_begins_after_what_the_start_has_left() -> None:
 
 def test_a_limit_that_is_passed_soon_is_passed_in_many_steps() -> None:
     # H rises as D t/m at first: the mean time is L m/D.
-    answer, right = passed(oscillator(), "H=1e-60", paths=PATHS), 1e-60 / 0.025
+    answer, right = passed(oscillator(), "H=1e-60", paths=8192), 1e-60 / 0.025
     assert answer.certificate.certified
     assert abs(answer.mean.value - right) < 4.0 * answer.mean.error < 0.1 * right
 

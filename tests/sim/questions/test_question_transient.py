@@ -63,15 +63,6 @@ def test_with_contact_it_ends_in_the_stationary_density(start: str) -> None:
     assert z[0] < Z < z[1]
 
 
-def test_times_between_steps_and_the_number_of_times_change_nothing_but_chance() -> None:
-    # The step is cut at every time that is asked for; both answers have their own steps.
-    at = np.linspace(-0.6, 0.6, 7)
-    alone = transient(fig6(), "q2", "q2=0.45", [3.21], at)
-    among = transient(fig6(), "q2", "q2=0.45", [0.01, 0.5, 1.2345, 3.21], at, seed=5)
-    error = np.hypot(alone.errors[0], among.errors[-1])
-    assert np.all(np.abs(alone.values[0] - among.values[-1]) < Z * error)
-
-
 def test_a_narrow_density_of_the_energy_is_resolved() -> None:
     # At t the energy of a shell E has moved by √(2 D ⟨v²⟩ t), of 2 % of E here, and its density has
     # no kink but that: Gaussian but for O(t). Judged by its integral and its width to 5 %.

@@ -85,18 +85,6 @@ def test_other_systems_keep_their_identities() -> None:
         assert density.certificate.mass_defect < 1e-12
 
 
-@pytest.mark.parametrize("dt", [0.01, 10.0])
-def test_without_contact_any_step_gives_the_gaussian(dt: float) -> None:
-    system = linear(2)
-    covariance = solve_continuous_lyapunov(drift_matrix(system), -diffusion_matrix(system))
-    variances = np.diag(covariance) / np.array([1.0, 1.0, *system.mass**2])
-    time = 20.0 if dt < 0.1 else 1000.0
-    report: Any = small(dt=dt, time=time, burn_in=6.0).solve(system, Q2).report
-    assert [*report.moments] == ["q1²", "q2²", "v1²", "v2²"]
-    for m, truth in zip(report.moments.values(), variances, strict=True):
-        assert abs(m.value - truth) < 4.5 * m.error
-
-
 def test_modal_energies_of_a_linear_system_against_its_gaussian() -> None:
     # E H_m of the Lyapunov covariance; 4.5 standard errors.
     system = linear(3)

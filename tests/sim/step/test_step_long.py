@@ -9,17 +9,13 @@ from sim_systems import fig6, linear, mixed, place
 from test_step_random import box_muller, word
 from test_step_schemes import contact
 
-from fpk.answer.bins import BinAxis
-from fpk.answer.method import Identity
-from fpk.answer.names import parse_observable
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
-from sim.sample.diagnostics import batch_moments, moment_identities, moment_products
+from sim.sample.diagnostics import moment_products
 from sim.sample.ensemble import Ensemble
-from sim.sample.histogram import Histogram
 from sim.sample.plan import (
     LARGEST_NORMAL,
     LONG_COST,
@@ -147,41 +143,6 @@ def test_the_noise_of_a_long_step_is_a_tail_of_its_normal_law() -> None:
     z = normals(5, 1 << 18, 0, 2)
     assert np.hypot(*z).max() < LARGEST_NORMAL
     assert pytest.approx(np.sqrt(-2.0 * np.log(2.0**-32)), rel=1e-5) == LARGEST_NORMAL
-
-
-def figures(system: System, small: int, *, seed: int) -> tuple[Array, Array, tuple[Identity, ...]]:
-    """Return the batches of the time in contact and of E q2², and the moment identities."""
-    h, time, burn_in = chosen_step(system), 150.0, 200.0
-    ensemble = Ensemble(system, longer(small), small * h, 8192, seed, 2)
-    edges = (BinAxis(np.array([-0.5, 0.5])),)
-    stride = max(1, round(0.1 / (small * h)))
-    ensemble.watch((Histogram(parse_observable("q2", 2), edges),), moment_products(2))
-    ensemble.advance(round(burn_in / (small * h)), stride=0)
-    ensemble.advance(round(time / (small * h)), stride=stride)
-    inside = ensemble.counts[:, 0] / ensemble.counts.sum(axis=1)
-    means = ensemble.batch_means()
-    square = batch_moments(system, means)["q", 1, "q", 1]
-    return 1.0 - inside, square, moment_identities(system, means)
-
-
-def z_of(a: Array, b: Array) -> float:
-    error = np.hypot(a.std(ddof=1) / np.sqrt(a.size), b.std(ddof=1) / np.sqrt(b.size))
-    return float(abs(a.mean() - b.mean()) / error)
-
-
-def test_the_same_law_as_uniform_steps() -> None:
-    """Time in contact, E q2², identities: |z| below 4.5 of 7 figures, false alarm 5e-5.
-
-    Energy decays at the rate 0.04 or faster: e⁻⁸ of the start's deviation is left after a burn-in
-    of 200, a twentieth of a standard error, and as much of it in either sample.
-    """
-    (share, square, _), some, wrong = (
-        figures(stiff(stiffness), small, seed=seed)
-        for stiffness, small, seed in ((1e3, 1, 71), (1e3, 8, 72), (1.1e3, 8, 73))
-    )
-    assert z_of(share, some[0]) < 4.5 and z_of(square, some[1]) < 4.5
-    assert max(abs(i.z) for i in some[2]) < 4.5
-    assert z_of(share, wrong[0]) > 5.0
 
 
 def test_choice_of_the_long_step() -> None:
