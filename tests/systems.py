@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fpk import Contact, System
+from fpk import Contact, DampingTerm, System
 
 
 def fig6(contacts=(), *, n=2, mass=None):
@@ -18,6 +18,22 @@ def exact_system(contacts=(), *, mass=(1.0, 2.0), h=2.0):
     """Damping in proportion to the noise, c_i = h D_i: condition (8) holds."""
     D = np.array([0.1, 0.2])
     return System(mass, [1.0, 1.5], h * D, D, contacts=contacts)
+
+
+def by_energy(rate, noise, contacts=(), *, mass=(1.0, 1.0, 1.0), stiffness=(1.0,) * 3, terms=()):
+    """c = D Σ rate_e H^e: condition (8) holds, the density is exp(−∫ Σ rate_e H^e dH).
+
+    ``noise`` is D, a matrix or its diagonal; ``terms`` are further damping terms.
+    """
+    D = np.diag(noise) if np.ndim(noise) == 1 else np.asarray(noise)
+    n, (constant, *others) = len(D), rate
+    own = tuple(
+        DampingTerm(i + 1, j + 1, c * D[i, j], energy=e)
+        for e, c in enumerate(others, start=1)
+        for i, j in np.ndindex(D.shape)
+    )
+    numbers = mass[:n], stiffness[:n], constant * D, D
+    return System(*numbers, contacts=contacts, damping_terms=(*own, *terms))
 
 
 def chain(n, contacts=(), **more):

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from systems import TURNED as TURNED
+from systems import by_energy
 
 from averaging.modal.analysis import modal_analysis
 from fpk import DampingTerm, System
@@ -142,11 +143,10 @@ def modal_van_der_pol(own=0.03, others=0.03, mass=(1.0, 1.0)):
 PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
 
 
-def noise_proportional(h0, h1, *, mass=(1.0, 2.0), scale=1.0):
+def noise_proportional(h0, h1, contacts=(), *, scale=1.0):
     """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
-    D = scale * PROPORTIONAL
-    terms = tuple(DampingTerm(i + 1, j + 1, h1 * D[i, j], energy=1) for i, j in np.ndindex(2, 2))
-    return System(mass, [1.0, 1.5], h0 * D, D, damping_terms=terms)
+    numbers = [h0, h1], scale * PROPORTIONAL, contacts
+    return by_energy(*numbers, mass=(1.0, 2.0), stiffness=(1.0, 1.5))
 
 
 def three_to_one(coefficient, *, energy=False, power=2):

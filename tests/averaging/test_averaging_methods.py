@@ -1,7 +1,5 @@
 """Exact, Gaussian and averaged densities against each other and against direct integrals."""
 
-from dataclasses import replace
-
 import mpmath
 import numpy as np
 import pytest
@@ -55,7 +53,7 @@ PROPORTION = {
     "mass 1": exact_system(both(10.0, mass=1)),
     "zero clearance": exact_system(both(10.0, 0.0)),
     "fed": FED,
-    "fed, with a stop": replace(noise_proportional(-0.5, 1.0), contacts=both(10.0)),
+    "fed, with a stop": noise_proportional(-0.5, 1.0, both(10.0)),
 }
 
 

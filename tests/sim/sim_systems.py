@@ -4,7 +4,10 @@ from functools import partial
 from itertools import count
 from typing import Any
 
+import asked
 import numpy as np
+import systems
+from asked import passage
 
 from cases.compare.routes import method_for
 from fpk.answer.method import silent
@@ -25,8 +28,7 @@ CIR_MEAN = 8.25803
 
 
 def fig6(*, clearance: float = 0.5, stiffness: float = 10.0) -> System:
-    contacts = (Contact(2, "both", stiffness, clearance),)
-    return System([1.0, 1.0], [1.0, 1.0], [0.08, 0.04], [0.01, 0.02], contacts=contacts)
+    return systems.fig6(systems.both(stiffness, clearance))
 
 
 def exact(*, clearance: float = 0.5) -> System:
@@ -78,10 +80,7 @@ def passed(
     **settings: Any,
 ) -> Any:  # fmt: skip
     """First passage of ``limit`` from ``start`` by ``method``, else ``simulation(**settings)``."""
-    end, begin = parse_limit(limit, system.n), parse_start(start, system)
-    times = np.array(times, dtype=float)
-    method = method or simulation(**settings)
-    return method.passage(system, end, begin, times, tol=None, progress=silent)
+    return passage(method or simulation(**settings), system, limit, start, times, tol=None)
 
 
 def transient(
@@ -89,10 +88,8 @@ def transient(
     method: Any = None, **settings: Any,
 ) -> Any:  # fmt: skip
     """Densities of ``of`` at ``times`` and points ``at``, by ``method`` or ``simulation()``."""
-    asked = parse_observable(of, system.n), parse_start(start, system), np.array(times, dtype=float)
-    points = tuple(np.asarray(x, dtype=float) for x in at)
     method = method or simulation(**settings)
-    return method.transient(system, *asked, points, tol=tol, progress=silent)
+    return asked.transient(method, system, of, start, times, *at, tol=tol)
 
 
 def curve(
@@ -113,8 +110,9 @@ def estimated(
     """First passage from failure times (paths,) at half the ``step`` and at it, to ``until``."""
     system = linear(1)
     known: Any = {"start": parse_start("rest", system), "limit": parse_limit(limit, 1)}
-    asked = Asked(system, tol, silent, times=np.array(times, dtype=float), **known)
-    return passage_of(np.stack([fine, coarse, until]), asked, tol, step, memory, {})
+    times = np.array(times, dtype=float)
+    question = Asked(system, tol, silent, times=times, **known)
+    return passage_of(np.stack([fine, coarse, until]), question, tol, step, memory, {})
 
 
 def slow_clock(monkeypatch: Any) -> None:

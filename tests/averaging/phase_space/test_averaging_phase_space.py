@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from asked import assert_refused
+from systems import both, fig6
 
 import fpk
 from averaging.gaussian import Linear
@@ -24,9 +25,6 @@ from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import gauss_grid, integral
-
-FIG6 = {"mass": [1, 1], "stiffness": [1, 1], "damping": [0.08, 0.04]}
-STOP = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
 
 
 def common(contacts, *, mass=(1.0, 1.0), turn=0.0):
@@ -111,7 +109,7 @@ def test_the_expansion_converges_to_gibbs_about_a_wrong_temperature():
 
 def test_densities_of_a_linear_system_are_gaussian():
     # Unequal temperatures: probability circulates, and no Gibbs state is the answer.
-    system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02])
+    system = fig6()
     observables = [parse_observable(name, 2) for name in ("q2", "q1,q2")]
     exact = Linear().solve(system, observables).densities
     for density, right in zip(
@@ -135,7 +133,7 @@ def test_a_stop_without_clearance_that_is_a_spring_is_one():
 
 
 def test_tolerances_and_identities_of_a_vibro_impact_system_hold():
-    system = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
+    system = fig6(both(10.0))
     observables = [parse_observable(o, 2) for o in ("q2", "q1", "p2")]
     result = PhaseSpace(tol=5e-4).solve(system, observables)
     coarse = PhaseSpace(tol=3e-3).solve(system, observables).densities

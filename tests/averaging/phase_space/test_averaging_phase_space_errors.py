@@ -8,7 +8,8 @@ from itertools import islice, product
 
 import numpy as np
 import pytest
-from test_averaging_phase_space import FIG6, STOP, common, drawn, stop
+from systems import both, fig6
+from test_averaging_phase_space import common, drawn, stop
 
 import fpk
 from averaging.phase_space import refinement
@@ -25,14 +26,14 @@ from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotCertified
 
 SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
-SYSTEM = fpk.System(**FIG6, noise_intensity=[0.01, 0.02], contacts=(STOP,))
+SYSTEM = fig6(both(10.0))
 
 
-def lighter(B, clearance, factor):
-    """Fig. 6 with other stops, damping and noise divided by ``factor``."""
-    stop = fpk.Contact(mass=2, side="both", stiffness=B, clearance=clearance)
-    damping, noise = np.array([0.08, 0.04]) / factor, np.array([0.01, 0.02]) / factor
-    return fpk.System([1, 1], [1, 1], damping, noise, contacts=(stop,))
+def lighter(factor, B=10.0, clearance=0.5):
+    """Fig. 6 with damping and noise divided by ``factor``."""
+    system = fig6(both(B, clearance))
+    damping, noise = system.damping / factor, system.noise_intensity / factor
+    return replace(system, damping=damping, noise_intensity=noise)
 
 
 def solutions(system, work, *, observables=SINGLE, threads=None) -> Iterator[Ladder]:
@@ -63,7 +64,7 @@ MANY = {
         contacts=stop(1, "right", 3.0, 0.0, law="bilinear"),
     ),
     "one mass": common(stop(1, "left", 10.0, 0.3), mass=(1.0,)),
-    "a tenth of the damping": lighter(10.0, 0.5, 10),
+    "a tenth of the damping": lighter(10.0),
     "random, unlike temperatures": drawn(np.random.default_rng(20261126), coldest=0.1),
 }  # fmt: skip
 
@@ -111,7 +112,7 @@ def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it():
 
 
 def test_a_near_stop_makes_the_reference_narrower():
-    frame = frame_of(clearance=0.1)
+    frame = contact_frame(fig6(both(10.0, 0.1)))
     start = gaussian_start(frame)
     plain = refinement.reference_by_moments(expand(frame, start, fitting_degrees(frame)))
     found = refinement.fit_reference(frame, start)
@@ -155,7 +156,7 @@ def test_more_memory_is_more_work_too():
 
 def test_where_damping_is_light_one_small_distance_says_less():
     one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
-    half, light = (refinement.credible_ratio(contact_frame(lighter(10.0, 0.5, x))) for x in (2, 10))
+    half, light = (refinement.credible_ratio(contact_frame(lighter(x))) for x in (2, 10))
     assert refinement.credible_ratio(one) == half == 0.25 and light == 0.6
     first, _ = refinement.error_by_distances(1e-3, None, light)
     # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
@@ -190,18 +191,12 @@ def test_a_solution_whose_equations_are_not_solved_is_not_used(monkeypatch):
 
 
 DEGREES = Degrees(total=16, others=6, outer=18)
+FRAME = contact_frame(SYSTEM)
 
 
-def frame_of(*, stiffness=10.0, clearance=0.5, damping=1.0):
-    stop = fpk.Contact(mass=2, side="both", stiffness=stiffness, clearance=clearance)
-    c, D = damping * np.array([0.08, 0.04]), damping * np.array([0.01, 0.02])
-    return contact_frame(fpk.System([1, 1], [1, 1], c, D, contacts=(stop,)))
-
-
-@pytest.mark.parametrize(
-    "frame", [frame_of(), frame_of(stiffness=100.0, clearance=0.1, damping=0.1)]
-)
-def test_an_elimination_in_single_precision_is_refined_to_double(frame, monkeypatch):
+@pytest.mark.parametrize("system", [SYSTEM, lighter(10.0, 100.0, 0.1)])
+def test_an_elimination_in_single_precision_is_refined_to_double(system, monkeypatch):
+    frame = contact_frame(system)
     about = gibbs_reference(frame)
     refined = expand(frame, about, DEGREES, memory=0.0)
     monkeypatch.setattr(elimination, "ELIMINATED_IN", np.float64)
@@ -222,14 +217,14 @@ def test_where_refinement_fails_the_elimination_is_repeated_in_double(monkeypatc
         return u, residual if kinds[-1] == np.float64 else np.nan
 
     monkeypatch.setattr(elimination, "_refine", failing)
-    assert expand(frame_of(), gibbs_reference(frame_of()), DEGREES).residual < 1e-13
+    assert expand(FRAME, gibbs_reference(FRAME), DEGREES).residual < 1e-13
     assert kinds == [np.float32, np.float64]
-    assert np.isnan(expand(frame_of(), gibbs_reference(frame_of()), DEGREES, memory=0.0).residual)
+    assert np.isnan(expand(FRAME, gibbs_reference(FRAME), DEGREES, memory=0.0).residual)
 
 
 @pytest.mark.parametrize("odd", [False, True])
 def test_derivatives_map_one_set_of_functions_onto_the_other(odd):
-    b = basis(frame_of(), gibbs_reference(frame_of()), DEGREES, odd=odd)
+    b = basis(FRAME, gibbs_reference(FRAME), DEGREES, odd=odd)
     values, slopes = b.functions(b.points)
     D = (values @ b.broken).T @ (b.weights[:, None] * (slopes @ b.continuous))
     # The function 1 has no derivative; where all functions are odd it is not among them.

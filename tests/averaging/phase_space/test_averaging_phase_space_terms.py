@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asked import ask, assert_near, assert_refused
+from systems import by_energy
 from test_averaging_phase_space import assert_exact_from, stop, wrong
 
 import fpk
@@ -16,20 +17,6 @@ from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 
 Term = fpk.DampingTerm
-
-
-def by_energy(rate, noise, contacts=(), *, mass=(1.0, 1.0, 1.0), terms=()):
-    """c_i = D_i Σ rate_e H^e: the density is exp(−∫ Σ rate_e H^e dH), Eqs. (7), (8)."""
-    n, (constant, *others) = len(noise), rate
-    by_h = [
-        Term(i + 1, i + 1, c * D, energy=e)
-        for e, c in enumerate(others, start=1)
-        for i, D in enumerate(noise)
-    ]
-    damping = [constant * D for D in noise]
-    return fpk.System(
-        mass[:n], [1.0] * n, damping, noise, contacts=contacts, damping_terms=(*by_h, *terms)
-    )
 
 
 def idle(i, j, c, q):

@@ -1,12 +1,8 @@
-"""First passage of one energy: exact answers of the square-root process, and of any process.
-
-The exact ones by mpmath, x = c H/d, time in units of 1/c.
-"""
+"""First passage of one energy: exact answers of the square-root process, and of any process."""
 
 import numpy as np
 import pytest
-from mpmath import mp, mpf
-from processes import cox_ingersoll_ross
+from processes import cox_ingersoll_ross, failure, moments, mp, rate
 from systems import both, fig6
 
 from averaging.energy_process import energy_process
@@ -16,45 +12,6 @@ from fpk.solvers.line.time.passage import chain_first_passage, fem_passage
 from fpk.solvers.line.time.transition import Source
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.contact import Contact
-
-mp.dps = 40
-
-
-def moments(n, x):
-    """c E T and c² Var T of the passage 0 → x, from Σ (a)_k x^k/(k! (n)_k) in powers of a."""
-    x, term, first, second, harmonic = mp.mpf(x), mp.mpf(1), mp.mpf(0), mp.mpf(0), mp.mpf(0)
-    for k in range(1, int(x + 40 * mp.sqrt(x)) + 120):
-        term *= x / (n + k - 1)
-        first += term / k
-        second += harmonic * term / k
-        harmonic += mp.mpf(1) / k
-    return first, first**2 - 2 * second
-
-
-def rate(n, x, guess):
-    """The failure rate: the least zero in a of 1F1(−a; n; x)."""
-    return mp.findroot(lambda a: mp.hyp1f1(-a, n, x, maxterms=10**6), guess, verify=False)
-
-
-def failure(n, start, limit, t):
-    """P(T <= t) by Talbot's inverse transform of 1F1(s; n; x_0)/1F1(s; n; x_f)/s."""
-
-    def transform(s):
-        above, below = (mp.hyp1f1(s, n, x, maxterms=10**6) for x in (start, limit))
-        return above / below / s
-
-    return mp.invertlaplace(transform, t, method="talbot", degree=40)
-
-
-def density(n, x, start, t):
-    """p(x, t | start), noncentral χ² of 2n degrees."""
-    theta = 1 - mp.exp(-mp.mpf(t))
-    x, y = mp.mpf(x) / theta, mp.mpf(start) * mp.exp(-mp.mpf(t)) / theta
-    if y == 0:
-        return x ** (n - 1) * mp.exp(-x) / mp.gamma(n) / theta
-    bessel = mp.besseli(n - 1, 2 * mp.sqrt(x * y))
-    return mp.exp(-x - y) * (x / y) ** (mp.mpf(n - 1) / 2) * bessel / theta
-
 
 NONE = np.zeros(0)
 
@@ -81,7 +38,7 @@ def test_mean_and_variance_keep_their_digits_at_any_size(n, x, solver):
         assert answer.certificate.certified
         below = moments(n, share * x)
         for number, power in ((answer.mean, 1), (answer.variance, 2)):
-            true = (exact[power - 1] - below[power - 1]) / mpf(c) ** power
+            true = (exact[power - 1] - below[power - 1]) / mp.mpf(c) ** power
             if true > 1e308:
                 assert number.value == np.inf
                 continue

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from processes import process_of
+from processes import competing, process_of
 
 from fpk.answer.certificate import DISTANCE_FACTOR
 from fpk.numeric.quadrature import panel_rule
@@ -15,13 +15,7 @@ from fpk.solvers.plane.weight import UNIT_WEIGHT, Weight
 
 def square_root_process(c, d):
     """Two independent CIR processes, (33) with unit modal masses: ln p = −Σ c_i H_i/d_i."""
-    c, d = np.array(c), np.array(d)
-    return process_of(
-        lambda H: d - c * H,
-        lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
-        lambda H: np.broadcast_to(2.0 * d, H.shape),
-        tuple(d / c),
-    )
+    return competing(c, np.zeros((2, 2)), d, tuple(np.divide(d, c)))
 
 
 def constructed(log_p, slope, diffusion, divergence, swirl, scales):
@@ -89,13 +83,7 @@ def van_der_pol(gamma, alpha, cross, noise: tuple[float, float]):
         first, second = ((g[i] * H + 0.5 * own[i] * H**2) / d[i] for i, H in enumerate((x, y)))
         return -first - second - cross * x * y
 
-    process = process_of(
-        lambda H: d - (g + H @ coupling.T) * H,
-        lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
-        lambda H: np.broadcast_to(2.0 * d, H.shape),
-        (float(scales[0]), float(scales[1])),
-    )
-    return process, log_p
+    return competing(g, coupling, d, tuple(scales)), log_p
 
 
 def mixture(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from processes import process_of
+from processes import competing, process_of
 from test_fpk_plane import (
     COUPLED,
     assert_strictly_certified,
@@ -25,15 +25,9 @@ from fpk.solvers.plane.weight import Weight, fits_by_degree, flux_free_weight, i
 
 
 def one_sided(first, second):
-    """s_i = d − (γ_i + α H_i + c_i H_j) H_i with c_1 ≠ c_2: probability circulates."""
-    d, g = 0.1, np.array([0.1, 0.2])
-    coupling = np.array([[0.1, first], [second, 0.1]])
-    return process_of(
-        lambda H: d - (g + H @ coupling.T) * H,
-        lambda H: 2.0 * d * H[:, :, None] * np.eye(2),
-        lambda H: np.full(H.shape, 2.0 * d),
-        (0.6, 0.4),
-    )
+    """The effect of one energy on the damping of the other differs: probability circulates."""
+    coupling = [[0.1, first], [second, 0.1]]
+    return competing([0.1, 0.2], coupling, [0.1, 0.1], (0.6, 0.4))
 
 
 STRONG = (2.0, 0.3)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from processes import cox_ingersoll_ross
-from test_fpk_passage import CONTACTS, IN_TIME, density
+from processes import cox_ingersoll_ross, density
+from test_fpk_passage import CONTACTS, IN_TIME
 
 from averaging.energy_process import energy_process
 from fpk.numeric.errors import InvalidInput

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from processes import by_hand, cox_ingersoll_ross, process_of
+from processes import by_hand, competing, cox_ingersoll_ross, process_of
 
 from averaging.zero_flux import solve_by_quadrature
 from fpk.numeric.errors import NotCertified
@@ -123,14 +123,7 @@ def test_damping_that_holds_is_solved(rate, d):
 
 
 def coupled(coupling, scales=(1.0, 1.0)):
-    """Two energies with the damping γ = 0.1 + coupling H and unit noise of each."""
-    A = np.array(coupling)
-    return process_of(
-        lambda H: 0.1 - H * (0.1 + H @ A.T),
-        lambda H: 0.2 * H[:, :, None] * np.eye(2),
-        lambda H: np.full(H.shape, 0.2),
-        scales,
-    )
+    return competing([0.1, 0.1], coupling, [0.1, 0.1], scales)
 
 
 @pytest.mark.parametrize(

@@ -84,30 +84,20 @@ def test_what_escapes_is_known_from_the_motion_far_out(name):
     assert (system.fact(escape) is not None) == escapes, system.fact(escape)
 
 
-def goes_out(system, start):
-    """Whether the motion without noise from ``start`` (q, v) gets 1e20 times as far.
+def goes_out(start):
+    """Whether the motion of ``ODD`` without noise from ``start`` (q, v) ends at infinity.
 
-    Another program than the one that decides. In the time s, ds = (1 + |dz/dt|/|z|) dt, z at most
-    grows by e in a unit. It is back at half of the distance.
+    Where it does so, v ~ −0.2 q²: it is there after a finite time.
     """
-    n, size = system.n, float(np.linalg.norm(start))
 
-    def slowed(s, z):
-        q, v = z[:n], z[n:]
-        c = system.damping.copy()
-        for t in system.damping_terms:
-            c[t.row, t.column] += t.value(q, v, system.hamiltonian(q, system.mass * v))
-        change = np.concatenate([v, (-c @ v - system.stiffness_matrix @ q) / system.mass])
-        return change / (1.0 + np.linalg.norm(change) / np.linalg.norm(z))
+    def far(t, z):
+        return abs(z[0]) - 1e9
 
-    def away(s, z):
-        return float(np.log(np.linalg.norm(z) / (1e20 * size)))
+    def change(t, z):
+        return [z[1], -(0.1 + 0.4 * z[0]) * z[1] - z[0]]
 
-    def back(s, z):
-        return float(np.log(np.linalg.norm(z) / (0.5 * size)))
-
-    away.terminal = back.terminal = True
-    path = solve_ivp(slowed, (0.0, 1e12), start, method="LSODA", rtol=1e-6, events=(away, back))
+    far.terminal = True
+    path = solve_ivp(change, (0.0, 1e3), start, method="LSODA", rtol=1e-6, events=far)
     return bool(path.t_events[0].size)
 
 
@@ -125,7 +115,7 @@ def test_the_reason_names_the_term_and_states_from_which_the_motion_escapes():
     words = "damping term 0.4 q1 of c_11 feeds energy in for q1 < -0.25 without bound: the motion "
     assert reason.startswith(words + "escapes") and "\n" not in reason
     start = np.array([float(x) for x in re.findall(r"[qv]\d = (\S+?)[, ]", reason)])
-    assert goes_out(ODD, start) and not goes_out(ODD, -start)
+    assert goes_out(start) and not goes_out(-start)
     for system, words in (
         (CASES["negative"][1], "-0.3 v1^2 of c_11 feeds energy in for |v1| > 0.577 without bound"),
         (damped((-0.3, "q1 q1 H")), "-0.3 q1^2 H of c_11 feeds energy in without bound"),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import process_of
+from processes import competing
 from scipy.stats import chi2, ncx2
 from sim_systems import (
     CIR_MEAN,
@@ -52,14 +52,8 @@ def form_of(theory: Any, system: System) -> Any:
 
 def coupled(strength: float, energies: int = 2) -> Process:
     """Each mode is damped by the energy of all, b diagonal: ln p = −0.8 ΣH − strength (ΣH)²/1."""
-
-    def drift(H):
-        return 0.5 - H * (0.4 + strength * H.sum(axis=1, keepdims=True))
-
-    def diffusion(H):
-        return H[:, :, None] * np.eye(energies)
-
-    return process_of(drift, diffusion, lambda H: np.ones_like(H), (0.7,) * energies)
+    ones = np.ones(energies)
+    return competing(0.4 * ones, strength * np.outer(ones, ones), 0.5 * ones, (0.7,) * energies)
 
 
 def pair_by_elements(strength: float) -> Density:

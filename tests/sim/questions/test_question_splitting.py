@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import mpmath as mp
 import numpy as np
 import pytest
 from numba import njit
+from processes import failure
 from scipy.stats import kstest
 from scipy.stats import t as student
 from sim_systems import exact, fig6, mixed, oscillator, passed
@@ -46,16 +46,9 @@ def of_free_masses(limit: float, n: int, start: Start, settings: Splitting) -> R
 
 
 def exact_failure(limit: float, n: int, energy: float = 0.0) -> float:
-    """P(T <= 60): E e^{−sT} = 1F1(s/2c; n/2; c H/D)/1F1(s/2c; n/2; c H_f/D), inverted."""
-    with mp.workdps(40):
-        c, D = mp.mpf(repr(DAMPING)), mp.mpf(repr(NOISE))
-
-        def transform(s):
-            of_start, of_limit = (mp.hyp1f1(s / (2 * c), mp.mpf(n) / 2, c * H / D)
-                                  for H in (energy, limit))  # fmt: skip
-            return of_start / of_limit / s
-
-        return float(mp.invertlaplace(transform, 60.0, method="talbot", degree=50))
+    """P(T <= 60): each freedom is half of one of the square-root process with c = 0.2, d = 0.1."""
+    rate = DAMPING / NOISE
+    return float(failure(0.5 * n, rate * energy, rate * limit, 2.0 * DAMPING * 60.0))
 
 
 class Walk:

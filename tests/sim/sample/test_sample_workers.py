@@ -77,7 +77,8 @@ def test_killed_often_the_answer_is_bitwise_the_same(
     """
     method, out = replace(METHOD, time=length), tmp_path / "found.npz"
     expected, draw = arrays_of(method.solve(fig6(), OBSERVABLES)), random.Random(20261121)
-    paths, before = [ROOT, ROOT / "tests/sim", Path(__file__).parent], list[int]()
+    rooms = ("tests", "tests/averaging", "tests/sim", "tests/sim/sample")
+    paths, before = [ROOT, *(ROOT / room for room in rooms)], list[int]()
 
     def written() -> list[int]:
         return [path.stat().st_mtime_ns for path in tmp_path.glob("*.checkpoint")]
@@ -105,20 +106,6 @@ def stopped_after(pieces: int) -> Callable[[], bool]:
     """What says after so many pieces that it is time to stop."""
     left = iter(range(pieces))
     return lambda: next(left, None) is None
-
-
-def test_the_state_goes_to_disk_and_comes_back(tmp_path: Path) -> None:
-    ensembles = [Ensemble(fig6(), SCHEMES["exact_flow"], 0.2, 3 * LANES, 1, 1) for _ in range(2)]
-    checkpoint = Checkpoint(tmp_path / "state.checkpoint", "one", stopped_after(0))
-    assert checkpoint.load() == Checkpoint().load() == {}
-    checkpoint.notes["note"] = np.array([2.5, np.inf])
-    assert checkpoint.advance(ensembles[0], 10**6) and checkpoint.interrupted
-    loaded = checkpoint.load()
-    ensembles[1].restore(loaded)
-    assert ensembles[1].done == ensembles[0].done == 1
-    np.testing.assert_array_equal(ensembles[1].states, ensembles[0].states)
-    np.testing.assert_array_equal(loaded["note"], [2.5, np.inf])
-    assert [p.name for p in tmp_path.iterdir()] == ["state.checkpoint"]
 
 
 def test_no_damaged_state_and_no_other_identity_is_ever_read(tmp_path: Path) -> None:

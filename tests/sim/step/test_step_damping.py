@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from sim_systems import fig6, place
-from systems import damping_at
+from systems import by_energy, damping_at
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.method import Result, silent
@@ -25,12 +25,7 @@ from sim.step.random import normals
 from sim.step.schemes import SCHEMES, lower_trapezoidal
 from sim.step.step_size import relaxation_time, temperature
 
-
-def hardened(h1: float = 1.5) -> System:
-    """c_ij = (h0 + h1 H) D_ij: the density is exp(−h0 H − ½ h1 H²) exactly; h0 = 1."""
-    D = np.array([0.2, 0.1])
-    terms = tuple(DampingTerm(i + 1, i + 1, h1 * D[i], energy=1) for i in (0, 1))
-    return System([1.0, 2.0], [1.0, 1.5], D, D, damping_terms=terms)
+HARDENED = by_energy([1.0, 1.5], [0.2, 0.1], mass=(1.0, 2.0), stiffness=(1.0, 1.5))
 
 
 def many_terms() -> System:
@@ -128,11 +123,11 @@ def far(density: SampledDensity, pdf, high: float, blocks: int = 12) -> float:
 def test_exact_density_of_damping_by_the_energy_and_a_wrong_coefficient() -> None:
     # n = 2 without contact: p(H) ∝ H exp(−H − ¾ H²). 12 z-scores below 4.5: false alarm 1e-4.
     # p(q1) ∝ ∫ √(4-dimensional phase space with q1 fixed): H = ½ k q² + r, weight r^½, r = u².
-    energy, displacement = sample(hardened(), "H", "q1", time=800.0).densities
+    energy, displacement = sample(HARDENED, "H", "q1", time=800.0).densities
     assert energy.certificate.certified, energy.certificate
     assert far(energy, lambda H: H * np.exp(-H - 0.75 * H * H), 8.0) < 4.5
     assert far(energy, lambda H: H * np.exp(-H - 0.8 * H * H), 8.0) > 6.0
-    k = 1.0 / np.linalg.inv(hardened().stiffness_matrix)[0, 0]
+    k = 1.0 / np.linalg.inv(HARDENED.stiffness_matrix)[0, 0]
 
     def of_q(q: float) -> float:
         e = 0.5 * k * q * q
@@ -155,27 +150,12 @@ def test_identities_reject_a_wrong_coefficient() -> None:
     assert max(abs(i.z) for i in moment_identities(system, means)) > 8.0
 
 
-def test_mean_energy_of_a_limit_cycle_is_that_of_averaging() -> None:
-    # Averaged: T is constant and h(H) = (−a + ½ b H)/D, so that p ∝ exp(aH/D − bH²/4D).
-    # The averaging error is O(a²), here below 1 %; the sampling error is smaller.
-    a, b, D = 0.02, 0.02, 0.005
-
-    def p(H: float) -> float:
-        return float(np.exp((a * H - 0.25 * b * H * H) / D - a * a / (b * D)))
-
-    mean = quad(lambda H: H * p(H), 0, 30)[0] / quad(p, 0, 30)[0]
-    (density,) = sample(van_der_pol(a, b, D), "H", time=3000.0).densities
-    e = density.edges[0]
-    found = float(np.sum(density.values * 0.5 * (e[1:] + e[:-1])) * (e[1] - e[0]))
-    assert found == pytest.approx(mean, rel=0.01) and abs(mean - 1.0) > 0.3
-
-
 @pytest.mark.slow
 def test_weak_order_two_in_the_step() -> None:
     # The virial of mass 1 is 0 without bias, so that no reference is needed; errors of the two
     # biases below a tenth of them leave the order to ±0.2, and the next order to as much.
     coarse, fine = (
-        sample(hardened(), dt=dt, paths=16384, time=700.0).identities[1] for dt in (0.4, 0.2)
+        sample(HARDENED, dt=dt, paths=16384, time=700.0).identities[1] for dt in (0.4, 0.2)
     )
     assert abs(coarse.z) > 10.0 < abs(fine.z)
     assert abs(np.log2(coarse.value / fine.value) - 2.0) < 0.4
