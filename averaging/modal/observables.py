@@ -26,8 +26,8 @@ Group = tuple[int, ...]
 BY_ELEMENTS = ("fem", "scikit-fem")
 """Solvers that give the joint density of two coupled energies."""
 CONVOLUTION_POINTS = 24
-"""Gauss points per panel of integrals over an energy: they integrate e^(−x), 0 < x < 3, to
-1e-30."""
+"""Gauss points per panel of integrals over an energy: they integrate e^(−x) over a panel of up to
+30 in x to 4e-24."""
 BAND_GROWTH = 2.0**0.5
 """Factor by which the highest wave number s of a density's Fourier series is raised. The norm of
 the characteristic function φ beyond s is estimated by 1/(√2 − 1) times its norm between s/√2 and

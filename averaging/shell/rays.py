@@ -181,11 +181,12 @@ def ray_integrals(names: tuple[str, ...], singular: bool) -> Callable[..., int]:
         """Add the integrals along rays by each rule to ``out`` (rules, rays, 3 + orders), in place.
 
         ``energy`` H is (rays,), ``n`` the number of masses, ``c`` of masses with contact; ``rule``
-        and ``ends`` are as ``gauss_rules`` returns them. With v = 1 − V/H and lengths in units of
-        √H the integrands are v^a r^(c−1) (1, v, w), for T, phase volume and H T', then v^(a+j)
-        r^(c−1+k) for the rows (k, j) of ``orders``. For a > 0, w = a/v is the derivative in H; for
-        a <= 0 that integral diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) results from
-        differentiating with V as the variable. Returns the checksum of the laws' sources.
+        and ``ends`` are as ``gauss_rules`` returns them; rays take the rows of ``stops`` in turn.
+        With a = n − c/2 − 1, v = 1 − V/H and lengths in units of √H the integrands are
+        v^a r^(c−1) (1, v, w), for T, phase volume and H T', then v^(a+j) r^(c−1+k) for the rows
+        (k, j) of ``orders``. For a > 0, w = a/v is the derivative in H; for a <= 0 that integral
+        diverges, and w = a + 1 + V ((c−1)/(r V_r) − V_rr/V_r²) results from differentiating with V
+        as the variable. Returns the checksum of the laws' sources.
         """
         a = n - 0.5 * c - 1.0
         whole, half = int(np.ceil(a)), a % 1.0 > 0.0

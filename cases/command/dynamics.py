@@ -169,7 +169,10 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
 
 
 def _times(text: str | None) -> Any:
-    """Return the times in ``text``, none for None; ``BadInput`` unless they ascend from >= 0."""
+    """Return the times (times,) in ``text``, an empty array for None.
+
+    Raises ``BadInput`` unless they are >= 0 and strictly ascend.
+    """
     import numpy as np
 
     from cases.scene.points import parse_points

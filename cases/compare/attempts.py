@@ -119,7 +119,8 @@ class Attempts:
         """Return ``work()``; if it raises one of ``REFUSALS``, add the refusal and return None.
 
         The refusal is of ``route`` for ``observables``, failed if the error has a type in
-        ``failures``. None also if interrupted before, or now with ``partial``.
+        ``failures``. It is also added, without ``work``, if interrupted before, and as failed if
+        interrupted now with ``partial``.
         """
         if self.interrupted:
             self.refuse(route, observables, INTERRUPTED)

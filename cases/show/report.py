@@ -287,10 +287,10 @@ def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
 
 
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
-    """By theory the largest L1 distance of its densities and the error; the best theory first.
+    """By theory, in words for readers, the largest L1 distance of its densities and its error.
 
-    ``rows`` are from ``_subject_and_distances``; of two rows of one density, by solution and
-    simulation, the row with the smaller error counts.
+    The best theory comes first. ``rows`` are from ``_subject_and_distances``; of two rows of one
+    density, by solution and simulation, the row with the smaller error counts.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):

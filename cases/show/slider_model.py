@@ -26,8 +26,9 @@ def slider_model(
 ) -> tuple[Record | None, str]:
     """Return the parameters of Eqs. (29), (30), (34), (36), and words for numbers not computed.
 
-    The words are empty if there are none. The parameters are None if no closed form applies:
-    constant damping, unmodulated noise, one contact mass and power laws are needed. ``B`` and
+    The parameters are None if no closed form applies, and the words say why: energy averaging among
+    the answers, constant damping, unmodulated noise, one contact mass and power laws are needed.
+    Without an answer by an averaged theory they are None and the words empty. ``B`` and
     ``delta`` of each contact, ``c`` and ``D`` of each mass have names and values as run; a full
     matrix has one factor instead, of value 1. Rates are linear in c and D: α = Σ c rate / Σ D rate,
     and so are the modal damping and noise, whose neglected correlation is at most ``most``.

@@ -168,9 +168,9 @@ def theory_table(rows: Sequence[Record], *, every: bool = False) -> Record:
 
     ``rows`` are by ``quantity_row``, of one curve. ``every``: a column for each route; else for the
     first route of each method that solves, and that samples, chosen for each observable on its own.
-    ``solved_by`` has the names of the columns by the equation, "full" or "averaged". A row of the
-    table has its observable (``of``), its ``quantity`` with the unit, and, in ``cells``, the given
-    row by column if there is one.
+    ``solved_by`` has the names of the columns by the equation, "full" or "averaged". Each of its
+    ``rows`` has its observable (``of``), its ``quantity`` with the unit, and, in ``cells``, the
+    given row by column if there is one.
     """
     first: dict[tuple[str, str, str], str] = {}
     cells: dict[tuple[str, str], Record] = {}

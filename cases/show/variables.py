@@ -119,7 +119,9 @@ def time_variables(outcome: "Outcome") -> Variables:
     ``mean_passage_1``, ``variance_…`` and ``rate_…`` (curve, route), ``survival_…`` and
     ``failure_…`` (curve, route, time); ``p_transient_1`` (curve, route, time, point) at the
     energies or displacements ``at_transient_1`` (curve, point). Beside each is the error, as
-    ``error_mean_passage_1``. NaN stands for a missing answer.
+    ``error_mean_passage_1``. All dimensions but ``curve`` end in the question, as
+    ``time_passage_1``. NaN stands for a missing answer; a question without any answer has no
+    variables, and a question without times neither ``survival_…`` nor ``failure_…``.
     """
     variables: Variables = {}
     for kind in ("passage", "transient"):

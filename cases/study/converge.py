@@ -69,7 +69,7 @@ class ConvergenceStudy:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """In words every level whose true error is NaN or above the error that it states."""
+        """In words every level whose distance to the reference is NaN or above what is stated."""
         return tuple(
             f"{ladder.equation}, {ladder.name}, {level.settings}: "
             + (

@@ -136,11 +136,12 @@ class Study:
     ``first`` is the coarsest of ``count`` levels of the quantity that varies.
 
     ``measure`` takes an answer of ``Discretisation.solve`` and returns a ``Level`` with its errors:
-    ``seconds`` is replaced by the processor time of the solution, ``settings`` is appended to the
-    settings of the discretisation. ``theory`` has the predicted order in ``size`` of every error by
-    name, or none if the convergence is exponential; ``floor`` the size of each error below which
-    the reference resolves nothing. ``equation`` names the subject in tables, ``dimension`` is the
-    number of its coordinates.
+    ``seconds`` is replaced by the processor time of the solution, ``size`` and ``promised`` by the
+    values of the discretisation (in the family "tol" the size is exp(−√unknowns), which ``measure``
+    must give), and ``settings`` is appended to its settings. ``theory`` has the predicted order in
+    ``size`` of every error by name, or none if the convergence is exponential; ``floor`` the size
+    of each error below which the reference resolves nothing. ``equation`` names the subject in
+    tables, ``dimension`` is the number of its coordinates.
     """
 
     equation: str

@@ -186,11 +186,12 @@ def certify_density(
     """Return a density given by functions, with its certificate.
 
     ``panels``, ``pdf`` and ``pointwise`` become fields of ``Density``. ``measured`` comes from the
-    solver, but its mass defect is replaced by |∫p − 1|, and its minimum by the minimum at the Gauss
-    points unless that is higher; ``tol`` is the L1 tolerance. ``added_error(p, *points)`` is a
-    pointwise error of p whose integral is added to ``measured.l1_error``. With ``frame``, a matrix
-    F and panels of y, integrals are taken over x = F y, for a ridge of correlated coordinates that
-    no affordable panels of x resolve. Raises nothing if a check fails: the certificate has it.
+    solver, but its mass defect is replaced by |∫p − 1|, its minimum and ``absolute_error`` by the
+    values at the Gauss points, unless the solver's minimum and its sum with the error are lower;
+    ``tol`` is the L1 tolerance. ``added_error(p, *points)`` is a pointwise error of p whose
+    integral is added to ``measured.l1_error``. With ``frame``, a matrix F and panels of y,
+    integrals are taken over x = F y, for a ridge of correlated coordinates that no affordable
+    panels of x resolve. Raises nothing if a check fails: the certificate has it.
     """
     jacobian, axes = (np.eye(len(panels)), panels) if frame is None else frame
     mesh, grids = gauss_grid(axes)

@@ -21,7 +21,8 @@ Side = Literal["left", "right", "both"]
 
 @dataclass(frozen=True)
 class Contact:
-    """Stop beside one mass, Eq. (2): ``stiffness · law(overlap)``, ``overlap = ±q − clearance``.
+    """Stop beside one mass, Eq. (2): ``stiffness · law(overlap)``, ``overlap = ±q − clearance``
+    with + for a stop on the right.
 
     ``mass`` counts from 1; ``side`` is the side of the mass on which the stop stands; ``stiffness``
     is B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 is the distance from rest to

@@ -159,12 +159,13 @@ highest in contact. Aliasing adds (1/5)⁴ of the spectrum where it falls as ω^
 def sample_spectrum(method: Settings, asked: Asked) -> Curve:
     """Return the two-sided power spectral density of q of mass ``asked.row`` at ``asked.at``.
 
-    These are frequencies in rad per unit time. Welch's method: |Σ w q e^(−iωt)|² of one Hann window
-    w on each trajectory, 2 ``RECORD_TIMES`` relaxation times or the ``time`` long, about the common
-    mean. Leakage is a constant over the square of the length: a third of the difference to windows
-    of half the length is added. The error has three parts: the spread of blocks, this third, and a
-    bound of the aliasing. The step is half the step of a density. Raises ``InvalidInput`` for so
-    many or so high frequencies that they would take minutes.
+    These are frequencies in rad per unit time; its integral over all of them is the variance.
+    Welch's method: |Σ w q e^(−iωt)|² of one Hann window w on each trajectory, 2 ``RECORD_TIMES``
+    relaxation times or the ``time`` long, about the common mean. Leakage is a constant over the
+    square of the length: a third of the difference to windows of half the length is added. The
+    error has three parts: the spread of blocks, this third, and a bound of the aliasing. The step
+    is half the step of a density. Raises ``InvalidInput`` for so many or so high frequencies that
+    they would take minutes.
     """
     system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (MAX_BATCHES * LANES)
     if at.size > most:  # with 8192 windows of 3000 samples they take minutes

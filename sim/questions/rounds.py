@@ -248,7 +248,7 @@ def seed_of(seed: int, number: int) -> int:
 
 
 Simulation = tuple[float, int, bool, Reader]
-"""Step, steps per sample, ``halved`` (see ``Ensemble``), and reader of one of two simulations."""
+"""Step, steps per sample, ``halved`` (see ``Ensemble``), and reader of a simulation."""
 
 
 def in_rounds(

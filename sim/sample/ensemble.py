@@ -240,8 +240,10 @@ class Ensemble:
     def keep(self, lanes: Integers) -> None:
         """Continue with the trajectories ``lanes`` alone, numbered along the blocks.
 
-        Sums and counts begin at 0. A number may occur twice: random numbers belong to the place, so
-        that copies separate. Copies of the first trajectory fill up the last block, and count.
+        Sums and counts begin at 0, ``samples`` goes on: call ``watch`` before ``batch_means``. A
+        number may occur twice: random numbers belong to the place, so that copies separate from
+        their second step on. Copies of the first trajectory fill up the last block, and count.
+        Raises ``ValueError`` if the ensemble has no ``start``.
         """
         self.states, self.last = (in_blocks(in_rows(a)[lanes]) for a in (self.states, self.last))
         self.paths = len(self.states) * LANES

@@ -96,7 +96,10 @@ class Reference:
 
     @property
     def to_state(self) -> tuple[Array, Array]:
-        """Matrix and vector of the affine map from (y, v, x) to (y, r, v), r = x + a y + x₀."""
+        """Matrix (2n, 2n) and vector (2n,) of the affine map from (y, v, x) to (y, r, v).
+
+        r = x + a y + x₀.
+        """
         n = self.slope.size + 1
         to = np.zeros((2 * n, 2 * n))
         to[0, 0] = 1.0

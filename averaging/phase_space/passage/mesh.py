@@ -141,7 +141,7 @@ class Mesh:
         return self.centre + self.radius * np.sin(x), self.radius * np.cos(x)
 
     def w(self, q: Array) -> Array:
-        """Return the scale w of the velocity at ``q``."""
+        """Return w of v = s w at ``q``: the speed at the limiting energy, or 1 without it."""
         return np.ones_like(q) if self.energy is None else self.oscillator.speed(q, self.energy)
 
     def coordinates(self, q: Array, v: Array) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ def local_order(degree: int) -> Integers:
 
 def axis_numbers(elements: int, degree: int) -> Integers:
     """Return the global numbers (``elements``, ``degree`` + 1) of each element's functions along an
-    axis: all vertices have lower numbers than the functions inside elements."""
+    axis, its two vertices first: vertices have lower numbers than functions inside elements."""
     vertex = np.arange(elements)[:, None] + np.array([0, 1])
     bubbles = elements + 1 + np.arange(elements * (degree - 1)).reshape(elements, degree - 1)
     return np.hstack([vertex, bubbles])

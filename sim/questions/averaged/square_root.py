@@ -56,7 +56,7 @@ class SquareRootForm:
         return replace(louder, linear=alone + factor * (self.linear - alone), damping=damping)
 
     def inverse(self, energies: Array) -> Array:
-        """Return X (paths, d) of ``energies``, by bisection."""
+        """Return the X >= 0 (paths, d) that have the ``energies`` (paths, d), by bisection."""
         low, high = np.zeros_like(energies), np.broadcast_to(self.scales, energies.shape).copy()
         while np.any(below := self.energies(high) < energies):
             high[below] *= 2.0

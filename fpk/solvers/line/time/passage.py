@@ -283,7 +283,8 @@ def passage_with_modulation(
     first = float(modulation.energy(stops[1])) / unit
 
     def carried(e: Elements, level: int) -> modulated.Carried:
-        """p at the stops > 0; P(T > t) at all stops, E T and E T²; errors of both by ``later``.
+        """p at the stops > 0; P(T > t) at all stops, E T and E T² in one array; the errors (2,) of
+        E T and E T² that ``later`` states, 0 if it is None.
 
         The steps are halved ``level`` times. The moments are ∫P(T > t) dt and ∫2t P(T > t) dt up to
         the end t_e of the modulation, plus E τ and E(2 t_e τ + τ²) of the remaining time τ over the
