@@ -66,19 +66,6 @@ def test_words_are_legible_and_curves_have_other_colours_on_a_dark_page(browser,
     assert len(shown[0]) == len(shown[1]) == 2 and not shown[0] & shown[1]
 
 
-def test_without_script_nothing_is_empty(browser, page):
-    browser.open(page, width=1280, script=False)
-    drawn, empty = browser.result(
-        SEEN
-        + """
-        const drawn = [...document.querySelectorAll("figure img")].filter(seen);
-        const empty = [...document.querySelectorAll("h2")].filter(h => seen(h) &&
-          !h.parentElement.querySelector(`#${h.id} ~ :not([hidden])`)?.textContent.trim());
-        return [drawn.map(e => e.naturalWidth), empty.map(h => h.textContent)];"""
-    )
-    assert len(drawn) == 4 and min(drawn) > 300 and empty == []
-
-
 @pytest.mark.parametrize(("script", "dark"), [(True, True), (False, False)])
 def test_paper_has_the_pictures_in_dark_ink_and_no_sliders(browser, page, script, dark):
     browser.open(page, width=718, script=script, dark=dark, paper=True)
