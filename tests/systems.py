@@ -6,6 +6,9 @@ import numpy as np
 
 from fpk import Contact, DampingTerm, System
 
+ONE_MASS = "[system]\nmass = [{}]\nstiffness = [{}]\ndamping = [{}]\nnoise_intensity = [{}]\n"
+"""The text of a scene."""
+
 
 def fig6(contacts=(), *, n=2, mass=None):
     """The chain of Fig. 6 for any n: c from 0.04 n down to 0.04, D from 0.01 up to 0.01 n."""

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PEERS = ROOT / "benchmarks" / "peers"
 SDE_PEERS = ROOT / "benchmarks" / "sde_peers"
 SDE_PAGE = ROOT / "docs" / "benchmarks" / "sde-peers.md"
-SDE_PATHS = [str(SDE_PEERS), str(SDE_PEERS.parent), str(PEERS)]
+PATHS = [str(SDE_PEERS), str(SDE_PEERS.parent), str(PEERS)]
 KEYS = {"peer", "version", "problem", "setting", "unknowns", "L1", "seconds", "minimum", "mass"}
 
 
@@ -75,21 +75,19 @@ def test_the_short_tables_have_the_structure_of_the_pages(tmp_path):
     assert run(script, "--check", "--page", str(page)).returncode == 0
 
 
-def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write():
-    done = run("-c", f"""import sys
-sys.path[:0] = {[str(PEERS), str(PEERS.parent)]!r}
-from page import PROGRAMS, written
-from measured_tables import page_blocks, structure
-header, rows = structure(page_blocks()['cost'])
-assert len(header) == 7 and rows == list(PROGRAMS.values()), rows
-assert 'FiPy: not installed.' in written([], {{'FiPy': 'not installed'}})
-""")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-
-
 def assert_code_runs(code):
-    done = run("-c", f"import sys; sys.path[:0] = {SDE_PATHS!r}\n{code}")
+    done = run("-c", f"import sys; sys.path[:0] = {PATHS!r}\n{code}")
     assert done.returncode == 0, done.stderr
+
+
+def test_the_page_in_the_repository_has_the_rows_that_the_scripts_write():
+    assert_code_runs(
+        "from page import PROGRAMS, written\n"
+        "from measured_tables import page_blocks, structure\n"
+        "header, rows = structure(page_blocks()['cost'])\n"
+        "assert len(header) == 7 and rows == list(PROGRAMS.values()), rows\n"
+        "assert 'FiPy: not installed.' in written([], {'FiPy': 'not installed'})\n"
+    )
 
 
 def test_a_missing_sde_package_is_named(tmp_path):

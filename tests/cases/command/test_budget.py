@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from systems import ONE_MASS
 
 from cases.compare import answering
 from cases.compare.averaged import AveragedSimulation
@@ -16,12 +17,7 @@ from fpk.numeric.errors import InvalidInput, NotCertified
 from sim.montecarlo import MonteCarlo
 from sim.questions.splitting.run import Splitting, rare_failure
 
-SCENE = """
-[system]
-mass = [1.0]
-stiffness = [1.0]
-damping = [0.1]
-noise_intensity = [0.1]
+SCENE = f"""{ONE_MASS.format(1.0, 1.0, 0.1, 0.1)}
 [observe]
 densities = ["q1"]
 [[passage]]

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from systems import ONE_MASS
 
-SYSTEM = "[system]\nmass = [{}]\nstiffness = [{}]\ndamping = [{}]\nnoise_intensity = [{}]\n"
 HUGE, TINY = (1e60, 1e60, 1e60, 1e90), (1e-50, 1.0, 1e-30, 1e-60)
 AT_REST = ("density", "--of", "H", "--at", 0)
 NO_CLEARANCE = "[[contact]]\nmass = 1\nside = 'both'\nstiffness = 1e8\nclearance = 0.0\n"
@@ -24,7 +24,7 @@ def given(answer, written):
 @pytest.mark.parametrize("solver", ["closed-form", "quadrature", "fem"])
 @pytest.mark.parametrize("system", [HUGE, TINY], ids=["huge", "tiny"])
 def test_the_density_at_rest_is_that_of_its_limit(given, system, solver):
-    record = given(SYSTEM.format(*system), *AT_REST, solver=solver)
+    record = given(ONE_MASS.format(*system), *AT_REST, solver=solver)
     (p,), (error,) = record["density"], record["error"]
     # One mass without contact: p = e^(−H/θ)/θ with θ = D/c.
     assert abs(p - system[2] / system[3]) <= error < 1e-10 * p
@@ -33,12 +33,12 @@ def test_the_density_at_rest_is_that_of_its_limit(given, system, solver):
 @pytest.mark.parametrize("solver", ["closed-form", "fem"])
 def test_the_density_at_rest_rises_as_that_of_its_limit(given, solver, answer):
     asked = ("transient", "--of", "H", "--times", "1,100", "--at", "0,1")
-    record = given(SYSTEM.format(*HUGE), *asked, solver=solver)
+    record = given(ONE_MASS.format(*HUGE), *asked, solver=solver)
     p, error = np.array(record["density"]), np.array(record["error"])
     # From rest p = e^(−H/θ_t)/θ_t with θ_t = θ (1 − e^(−ct/m)).
     exact = -1e-30 / np.expm1(-np.array([[1.0], [100.0]]))
     assert np.all(np.abs(p - exact) <= error) and np.all(error < 1e-10 * exact)
-    plain = SYSTEM.format(1.0, 1.0, 0.1, 0.05)
+    plain = ONE_MASS.format(1.0, 1.0, 0.1, 0.05)
     record = given(plain + NO_CLEARANCE, *AT_REST, solver=solver)
     assert record["density"][0] > 1e3 and record["error"][0] < 1e-6
     # Several masses are hardly ever at rest.
@@ -50,7 +50,7 @@ def test_rates_and_times_far_below_and_beyond_all_scales_and_starts_as_written(
     given, fpk, answer, refusal
 ):
     # 1F1(−1; 1; x) = 1 − x vanishes at x = c H/D = 1: the failure rate is c itself.
-    weak = SYSTEM.format(1.0, 1.0, 1e-9, 1e-9)
+    weak = ONE_MASS.format(1.0, 1.0, 1e-9, 1e-9)
     record = given(weak, "passage", "--limit", "H=1", method="integrable", solver="closed-form")
     assert abs(record["rate"] - 1e-9) <= record["rate_error"] < 1e-20
     words = ("passage", "cir", "--method", "nonintegrable", "--limit")
@@ -65,7 +65,7 @@ def test_energies_whose_squares_overflow_are_answered_or_blamed_on_the_units(giv
     """The stop in the unit of the clearance, H in that of its square."""
 
     def far(stiffness, unit):
-        system = SYSTEM.format(1.0, 1.0, 1.0 / unit, unit)
+        system = ONE_MASS.format(1.0, 1.0, 1.0 / unit, unit)
         return f"{system}{STOP}stiffness = {stiffness}\nclearance = {unit}\n"
 
     first, second = (

@@ -16,26 +16,20 @@ from fpk.system.linear import natural_modes
 from fpk.system.system import System
 
 NOT_KNOWN = "averaging error not known here"
-FRAME = """[system]
-mass = [1.0, 1.0]
-stiffness = [1.0, 1.0]
-damping = [0.03, 0.03]
-noise_intensity = [0.01]
-noise_gain = [[1.0], [1.0]]
-[[contact]]
-mass = 2
-side = "right"
-stiffness = 10.0
-clearance = 1.0
-[observe]
-densities = ["q2"]
-"""
-"""Two storeys on a shaken base, the roof beside a neighbour."""
 
 
 @pytest.fixture
-def frame(written):
-    return written(FRAME)
+def frame(written, scene_text):
+    """Two storeys on a shaken base, the roof beside a neighbour."""
+    for old, new in (
+        ("[0.08, 0.04]", "[0.03, 0.03]"),
+        ("[0.01, 0.02]", "[0.01]\nnoise_gain = [[1.0], [1.0]]"),
+        ('"both"', '"right"'),
+        ("clearance = 0.5", "clearance = 1.0"),
+        ('["q2", "H"]', '["q2"]'),
+    ):
+        scene_text = scene_text.replace(old, new)
+    return written(scene_text)
 
 
 def note(scene, *methods, in_time=False):

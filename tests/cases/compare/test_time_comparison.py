@@ -300,6 +300,16 @@ def test_everything_is_written(outcome, tmp_path):
     assert mesh["nonintegrable fem"].size == mesh.n_points and mesh["time"][0] == 100.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["cir", "fig6-passage", "rare", "two-modes", "modulated", "earthquake"]
+)
+def test_shipped_scenes_hold(answer, name):
+    digest = answer("run", name)
+    claims = {claim["verdict"] for claim in digest["claims"]}
+    assert not digest["problems"] and claims == ({"holds"} if name != "modulated" else set())
+
+
 @pytest.mark.parametrize(("level", "last", "runs"), [(1.5, 400.0, 1), (3.5, 25.0, 2)])
 def test_the_simulation_that_shows_how_rare_passages_are_is_used_where_it_answers(
     level, last, runs, monkeypatch

@@ -7,6 +7,7 @@ from typing import get_args
 import h5py
 import numpy as np
 import pytest
+from systems import ONE_MASS
 from wrong_methods import Coarse, DisplacedAveraging, Interrupting, Shifted
 
 from averaging.nonintegrable import NonIntegrable
@@ -62,11 +63,7 @@ def test_a_wrong_answer_is_named_where_two_independent_ones_agree(first):
     assert any("no finding against montecarlo" in p for p in differing)
 
 
-UNDAMPED = """[system]
-mass = [1.0]
-stiffness = [1.0]
-damping = [0.0]
-noise_intensity = [0.05]
+UNDAMPED = f"""{ONE_MASS.format(1.0, 1.0, 0.0, 0.05)}
 [[passage]]
 limit = "H=0.3"
 times = [10.0]
