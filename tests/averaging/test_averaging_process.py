@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from asked import assert_known, refusal, solved
 from scipy.integrate import quad
-from scipy.optimize import brentq
-from systems import both, chain, fig6
+from systems import both, chain
 
 from averaging import NonIntegrable
 from averaging.energy_process import compatibility, energy_process
-from averaging.shell.averages import log_linear_states, shell_averages
 from averaging.zero_flux import solve_by_quadrature
 from fpk import Contact, DampingTerm, System
 from fpk.answer.density import l1_distance
@@ -19,49 +17,6 @@ from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.stationary import solve_stationary
-
-
-def eq_25(system, energy):
-    """T, s and σ² of Eq. (25) by integrals over q1 and q2 on a grid, contact of mass 2 only.
-
-    With c_i/m_i, D_i/m_i and √(m1 m2), which the paper leaves out: its masses are 1. By (26),
-    corrected, q2 ends where the stop and the springs in a row have the whole energy.
-    """
-    m = system.mass
-    B1 = -np.pi * np.sum(np.diag(system.damping) / m)
-    B2 = np.pi * np.sum(np.diag(system.noise_intensity) / m)
-    k1, k2 = system.stiffness
-
-    def left(y):
-        return energy - 0.5 * k1 * k2 / (k1 + k2) * y * y - float(system.contact_energy(1, y))
-
-    low, high = brentq(left, -10.0, 0.0), brentq(left, 0.0, 10.0)
-    # q2 = middle + half sin t, q1 = k2 q2/(k1 + k2) + reach sin u.
-    x, w = (a.ravel() for a in panel_rule(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 41), 16))
-    y = 0.5 * (high + low) + 0.5 * (high - low) * np.sin(x)
-    reach = np.sqrt(np.maximum([left(v) for v in y], 0.0) * 2.0 / (k1 + k2))
-    q1 = k2 * y / (k1 + k2) + np.outer(np.sin(x), reach)
-    q = np.stack(np.broadcast_arrays(q1, y), axis=-1)
-    weight = np.outer(w * np.cos(x), w * np.cos(x) * reach * 0.5 * (high - low))
-    area, kinetic = np.sum(weight), np.sum(weight * (energy - system.potential(q)))
-    T = np.pi * area
-    return T * np.sqrt(np.prod(m)), (B1 * kinetic + B2 * area) / T, 2.0 * B2 * kinetic / T
-
-
-@pytest.mark.parametrize(
-    "mass, contacts, energy",
-    [((0.5, 3.0), both(10.0), 0.2), ((1.0, 1.0), (Contact(2, "right", 10.0, 0.5),), 0.5)],
-)
-def test_coefficients_are_those_of_eq_25(mass, contacts, energy):
-    system = fig6(contacts, mass=mass)
-    T, s, b = eq_25(system, energy)
-    at = np.array([energy])
-    c = energy_process(system).coefficients(at)
-    assert c.drift[0] == pytest.approx(s, rel=1e-7)
-    assert c.diffusion[0] == pytest.approx(b, rel=1e-7)
-    # T of (10), (25) counts ∂H/∂p_1 > 0 only: half the density of states.
-    states = np.exp(log_linear_states(system, at)) * shell_averages(system, at).states
-    assert states[0] == pytest.approx(2.0 * T, rel=1e-7)
 
 
 def cycle(n, noise, contacts=()):

@@ -23,15 +23,6 @@ FEM, CLOSED, QUADRATURE = (NonIntegrable(s) for s in ("fem", "closed-form", "qua
 MODES = Integrable("closed-form")
 
 
-@pytest.mark.parametrize("start", ["rest", "q1=0.3,p2=-0.4", "noise=0.5", "noise=0"])
-def test_solvers_agree_on_the_transient_density(start):
-    times, at = [0.1, 3.0, 100.0], np.linspace(-0.1, 2.0, 15)
-    a, b = (transient(m, FREE, "H", start, times, at, tol=None) for m in (FEM, CLOSED))
-    assert b.certificate.certified
-    assert_near(a, b)
-    assert a.errors.max() < 1e-9 and np.all(a.values[:, 0] == 0.0)
-
-
 def test_solvers_agree_on_first_passage_and_rates():
     a, b = (passage(m, FREE, "H=0.9", times=[0.0, 5.0, 50.0], tol=None) for m in (FEM, CLOSED))
     assert_agree(a, b)

@@ -7,6 +7,7 @@ import pytest
 from asked import ask, assert_near, assert_refused
 from systems import by_energy
 from test_averaging_phase_space import assert_exact_from, stop, wrong
+from test_averaging_phase_space_dynamics import assert_sums
 
 import fpk
 from averaging.nonintegrable import NonIntegrable
@@ -81,15 +82,8 @@ def test_averaging_of_one_mass_errs_by_the_square_of_the_damping():
 
 
 def test_sums_over_the_spectrum_and_crossings_are_exact():
-    # As with constant damping: ∫ S dω is the variance of q, ∫ ω² S dω that of the velocity.
-    system, count = KNOWN["one-sided"], 160
-    w = np.tan((np.arange(count) + 0.5) * 0.5 * np.pi / count)
-    answer = ask(PhaseSpace(), "spectrum", system, 0, w, tol=1e-2)
-    weight = np.pi / count * (1.0 + w**2)
-    q, p = Exact().solve(system, [parse_observable(o, 1) for o in ("q1", "p1")]).densities
-    for power, variance in ((0, q.variance().value), (2, p.moment(2).value)):
-        error = weight @ (w**power * answer.errors)
-        assert weight @ (w**power * answer.values) == pytest.approx(variance, abs=error)
+    system = KNOWN["one-sided"]
+    assert_sums(system, 1e-2)
     a = np.linspace(-0.8, 0.8, 5)
     exact = ask(Exact(), "crossings", system, 0, a)
     assert_near(ask(PhaseSpace(), "crossings", system, 0, a, tol=1e-3), exact)

@@ -27,12 +27,6 @@ EXACT = System([1.0, 1.0], [1.0, 1.0], FREE.damping, FREE.noise_intensity, conta
 NORMAL = stats.norm()
 
 
-def deviation(name):
-    """Standard deviation of q or p of ``LINEAR``."""
-    row = "qp".index(name[0]) * 2 + int(name[1]) - 1
-    return float(np.sqrt(stationary_covariance(LINEAR)[row, row]))
-
-
 def assert_within(number, true, most=1.0):
     assert abs(number.value - true) <= most * number.error, (number, true)
 
@@ -47,6 +41,7 @@ def known(name):
     """A Gaussian, one with contact, and by finite elements the energy of two masses at T = 0.3."""
     method, system, observable = {
         "gaussian": (Linear(), LINEAR, "q1"),
+        "momentum": (Linear(), LINEAR, "p1"),
         "contact": (Exact(), EXACT, "q2"),
         "energy": (NonIntegrable(tol=1e-9), FREE, "H"),
     }[name]
@@ -54,6 +49,7 @@ def known(name):
 
 
 GAMMA = stats.gamma(2, scale=0.3)
+MOMENTUM = stats.norm(scale=np.sqrt(stationary_covariance(LINEAR)[2, 2]))
 
 
 def histogram(samples, bins=120, reach=6.0):
@@ -81,39 +77,31 @@ def gaussian(mean, mass, tail):
     return certify_density(q, nodes, pdf, lambda x: 1e-8 * pdf(x), measured=measured, tol=0.1)
 
 
-def test_quantities_of_a_gaussian_are_those_of_scipy():
-    density, normal = solved(Linear(), LINEAR, "p1"), stats.norm(scale=deviation("p1"))
+@pytest.mark.parametrize(
+    ("name", "law", "most"), [("momentum", MOMENTUM, 1e-7), ("energy", GAMMA, 1e-5)]
+)
+def test_quantities_err_by_no_more_than_stated(name, law, most):
+    density, (mean, variance, skewness, excess) = known(name), map(float, law.stats("mvsk"))
+    tenth, high = law.ppf([0.1, 0.9]).tolist()
     for number, true in (
-        (density.mean(), 0.0),
-        (density.rms(), normal.std()),
-        (density.std(), normal.std()),
-        (density.skewness(), 0.0),
-        (density.kurtosis(), 3.0),
-        (density.moment(6), 15.0 * normal.var() ** 3),
-        (density.cdf(0.3), normal.cdf(0.3)),
-        (density.exceedance(4.0 * normal.std()), normal.sf(4.0 * normal.std())),
-        *((density.quantile(p), normal.ppf(p)) for p in (1e-6, 0.1, 0.5, 0.9, 1.0 - 1e-6)),
+        (density.mean(), mean),
+        (density.rms(), np.sqrt(variance + mean**2)),
+        (density.std(), law.std()),
+        (density.skewness(), skewness),
+        (density.kurtosis(), 3.0 + excess),
+        (density.moment(6), law.moment(6)),
+        (density.cdf(tenth), 0.1),
+        (density.probability(tenth, high), 0.8),
+        (density.exceedance(2.0 * high), law.sf(2.0 * high)),
+        *((density.quantile(p), law.ppf(p)) for p in (1e-3, 0.1, 0.5, 0.9, 0.999)),
     ):
         assert_within(number, true)
-        assert number.error < 1e-7 * max(normal.std(), abs(true), 1.0)
-
-
-def test_quantities_of_finite_elements_err_by_no_more_than_stated():
-    density = known("energy")
-    mean, variance, skewness, excess = (float(x) for x in GAMMA.stats("mvsk"))
-    assert_within(density.mean(), mean)
-    assert_within(density.variance(), variance)
-    assert_within(density.skewness(), skewness)
-    assert_within(density.kurtosis(), 3.0 + excess)
-    for x in (0.01, 0.5, 2.0, 5.0):
-        assert_within(density.exceedance(x), GAMMA.sf(x))
-        assert_within(density.cdf(x), GAMMA.cdf(x))
-        assert_within(density.probability(x, 2.0 * x), GAMMA.cdf(2.0 * x) - GAMMA.cdf(x))
-    for p in (1e-3, 0.5, 0.999):
-        assert_within(density.quantile(p), GAMMA.ppf(p))
-    assert density.exceedance(5.0).error < 1e-2 * density.exceedance(5.0).value
-    # A mean that is off by a thousandth is seen.
-    assert abs(density.mean().value - 1.001 * GAMMA.mean()) > 100.0 * density.mean().error
+        assert number.error < most * max(law.std(), abs(true), 1.0)
+    far = density.exceedance(4.0 * high)
+    assert_within(far, law.sf(4.0 * high))
+    assert far.error < 1e-2 * far.value
+    # A deviation that is off by a thousandth is seen.
+    assert abs(density.std().value - 1.001 * law.std()) > 100.0 * density.std().error
 
 
 @pytest.mark.parametrize("power", [1, 2, 4])

@@ -38,13 +38,6 @@ def test_normals_are_box_muller_of_the_stated_words() -> None:
     np.testing.assert_allclose(z, expected, rtol=5e-7, atol=2e-6)
 
 
-def test_a_number_does_not_depend_on_how_many_are_drawn() -> None:
-    z = random.normals(SEED, 500, 6, 4)
-    np.testing.assert_array_equal(z[:, :70], random.normals(SEED, 70, 6, 4))
-    np.testing.assert_array_equal(z[2:], random.normals(SEED, 500, 7, 2))
-    assert not np.array_equal(z, random.normals(SEED + 1, 500, 6, 4))
-
-
 def test_moments_and_correlations() -> None:
     """z-scores of 24 independent figures below 4.5: false alarm 2e-4."""
     z = random.normals(SEED, 1 << 14, 0, 64)
