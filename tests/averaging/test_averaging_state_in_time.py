@@ -105,23 +105,6 @@ def test_total_energy_is_a_gaussian_on_a_sphere(t):
         assert_within_stated_error(method, (THREE, "q2", "H=0.5", [t], at), mixed / size)
 
 
-@pytest.mark.parametrize(
-    ("name", "start"),
-    [
-        ("q1", "H=0.4"),
-        ("q2,p1", "noise=0.3"),
-        pytest.param("q1,q2", "rest", marks=pytest.mark.slow),
-    ],
-)
-def test_stops_out_of_reach_change_nothing(name, start):
-    # The displacement of mass 2 is integrated out by quadrature where it is not observed.
-    far = replace(TWO, contacts=(Contact(2, "both", 10.0, 8.0),))
-    at = np.random.default_rng(3).normal(0.0, 0.3, (name.count(",") + 1, 12))
-    for t in (0.02, 0.5, 30.0):
-        exact = transient(TOTAL, TWO, name, start, [t], *at, tol=1e-10).values
-        assert_within_stated_error(FEM, (far, name, start, [t], *at), exact)
-
-
 def test_joint_density_with_a_stop_integrates_to_the_marginal(name="p1", start="H=0.5", t=3.0):
     at = np.array([0.0, 0.1, 0.45])
     x, w = (a.ravel() for a in panel_rule(np.linspace(-5.0, 0.3, 150), 8))

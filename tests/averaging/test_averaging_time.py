@@ -32,15 +32,6 @@ def test_solvers_agree_on_first_passage_and_rates():
     assert_near(fem, closed)
 
 
-def test_with_contact_it_ends_in_the_stationary_density():
-    at = np.linspace(0.05, 2.0, 9)
-    late = transient(FEM, TOUCHING, "H", "rest", [1.0, 2e3], at)
-    (density,) = NonIntegrable().solve(TOUCHING, [parse_observable("H", 2)]).densities
-    p, error = density.at(at)
-    assert np.all(np.abs(late.values[1] - p) <= late.errors[1] + error)
-    assert np.max(np.abs(late.values[0] - p)) > 0.1
-
-
 def drawn(seed):
     """Draw a modulation of 2 to 5 times, with pauses at the start and at the end in turn."""
     rng = np.random.default_rng(seed)

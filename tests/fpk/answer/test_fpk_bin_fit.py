@@ -23,13 +23,13 @@ def contents(p, edges):
     return np.array([quad(p, a, b, epsabs=1e-18, epsrel=1e-11)[0] for a, b in pairwise(edges)])
 
 
-def drawn(axes, share, samples, seed, observable=Q1):
+def drawn(axes, share, samples, seed, observable=Q1, *, batches=BATCHES):
     """A density of independent samples in equal batches, of the probabilities ``share`` of bins."""
-    shape, each = share.shape, int(samples) // BATCHES
+    shape, each = share.shape, int(samples) // batches
     share = np.append(share, max(1.0 - share.sum(), 0.0))
-    counts = np.random.default_rng(seed).multinomial(each, share / share.sum(), size=BATCHES)
+    counts = np.random.default_rng(seed).multinomial(each, share / share.sum(), size=batches)
     area = reduce(np.multiply.outer, [np.diff(axis.edges) for axis in axes])
-    values = counts[:, :-1].reshape(BATCHES, *shape) / each / area
+    values = counts[:, :-1].reshape(batches, *shape) / each / area
     return SampledDensity(observable, axes, values.mean(axis=0), values, PASSED, samples=samples)
 
 

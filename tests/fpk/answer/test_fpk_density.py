@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import norm
+from test_fpk_bin_fit import drawn
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, largest_measured
@@ -46,16 +47,11 @@ def correlated(r=0.6, scale=1.0):
     return Density(pair, (nodes, nodes), pdf, lambda x, y: 0.0 * x * y, 0.0, PASSED)
 
 
-def histogram(*, batches=100, samples=100_000, bins=480, shift=0.0, seed=SEED):
+def histogram(*, bins=480):
     """Independent batches drawn from the cell probabilities of the standard normal density."""
-    edges = np.linspace(-6.0, 6.0, bins + 1)
-    share = np.diff(norm.cdf(edges, shift))
-    share = np.append(share, max(1.0 - share.sum(), 0.0))
-    rng = np.random.default_rng(seed)
-    counts = rng.multinomial(samples, share, size=batches)[:, :-1]
-    batch_values = counts / samples / np.diff(edges)
-    mean, q1 = batch_values.mean(axis=0), parse_observable("q1", 2)
-    return SampledDensity(q1, (BinAxis(edges),), mean, batch_values, PASSED)
+    axis = BinAxis(np.linspace(-6.0, 6.0, bins + 1))
+    share = np.diff(norm.cdf(axis.edges))
+    return drawn((axis,), share, 1e7, SEED, parse_observable("q1", 2), batches=100)
 
 
 # 20 Gauss points per half a standard deviation: only round-off is left, some 1e-15.
