@@ -9,12 +9,10 @@ from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable
 from averaging.phase_space.method import UNASKED_WORK, PhaseSpace
 from cases.compare.answers import Answers
-from cases.compare.compare import distance_between
 from cases.compare.stationary import run_scene
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
 from cases.show.facts import theories
-from fpk.answer.names import parse_observable
 from fpk.numeric.errors import NotApplicable
 from fpk.system.contact import Contact
 from fpk.system.system import System
@@ -113,14 +111,3 @@ def test_a_bound_of_the_work_leaves_it_out_or_certifies_what_is_reached_and_fail
     density, (note,) = curve["q2"], curve.notes
     assert "phase-space: certified to" in note and density.certificate.certified
     assert PhaseSpace.tol < density.l1_error <= 1e-2
-
-
-@pytest.mark.slow
-def test_averaging_errors_of_fig6_are_those_of_a_long_independent_calculation():
-    """B = 10, δ = 0.5: 0.01255 and 0.598, known to their last digit."""
-    system, asked = load_scene("fig6a").system, [parse_observable("q2", 2)]
-    (sampled,) = MonteCarlo(seed=20040806).solve(system, asked).densities
-    for method, known, digit in ((NonIntegrable(), 0.01255, 5e-6), (Integrable(), 0.598, 5e-4)):
-        (theory,) = method.solve(system, asked).densities
-        distance, error, _ = distance_between(theory, sampled)
-        assert distance == pytest.approx(known, abs=error + digit)

@@ -115,22 +115,15 @@ def test_a_run_and_a_sweep_give_the_same_numbers_by_the_same_names():
 
 
 def test_the_averaging_error_is_what_regime_maps():
-    scene = load_scene("fig3a")
-    text = ["contact.clearance=0.5:2:2"]
+    scene, text = load_scene("fig3a"), ["contact.clearance=0.5:2:2"]
     mapped = build_map(scene, text)
     swept = face.sweep(scene, text, ["averaging_error(q2)"])
     assert swept.methods == ("nonintegrable", "integrable")
-    q = np.linspace(-8.0, 8.0, 40_001)  # p(8) < exp(-32): the largest rms is 1
     for k, point in enumerate(mapped.points):
         system = with_numbers(scene.system, {"contact.clearance": point.values[0]})
-        methods = ("exact", *swept.methods)
-        exact, *theories = (face.solve(system, ["q2"], methods=[m])["q2"](q) for m in methods)
         for j, theory in enumerate(swept.methods):
-            expected = np.trapezoid(np.abs(theories[j] - exact), q)
-            # The trapezoidal rule is off by the step times the total variation at most.
-            variation = np.abs(np.diff(theories[j])).sum() + np.abs(np.diff(exact)).sum()
-            allowed = (q[1] - q[0]) * variation + point.error[theory]
-            assert abs(point.L1[theory] - expected) <= allowed
+            (pair,) = face.compare(face.solve(system, ["q2"], methods=["exact", theory]))
+            assert abs(point.L1[theory] - pair.L1) <= point.error[theory] + pair.error
             assert swept.field("value")[0, j, k] == point.L1[theory]
             assert swept.points[k].answers[j].reference == point.reference == "exact"
 
@@ -155,13 +148,14 @@ def test_a_value_whose_error_is_beyond_it_is_not_certified():
 
 LINE = ["sweep", "fig3a", "--vary", "contact.clearance=0.2:2:2", "--vary", "system.mass[1]=1,2",
         "--quantity", "rms(q2)", "--quantity", "quantile(q2,0.9)",
-        "--quantity", "upcrossing_rate(1)", "--quantity", "correlation(q1,q2)"]  # fmt: skip
+        "--quantity", "upcrossing_rate(1)", "--quantity", "correlation(q1,q2)",
+        "--method", "exact"]  # fmt: skip
 REGIME = ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:4", "--seed", 4]
 
 
 @pytest.mark.parametrize(
     ("line", "other"),
-    [([*LINE, "--method", "exact"], ["--tol", "1e-6"]), (REGIME, ["--reference", "phase-space"])],
+    [(LINE, ["--tol", "1e-6"]), (REGIME, ["--reference", "phase-space"])],
     ids=["sweep", "regime"],
 )
 def test_a_stopped_study_goes_on_and_is_the_same_to_the_bit(
@@ -197,7 +191,7 @@ def test_a_stopped_study_goes_on_and_is_the_same_to_the_bit(
 
 def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
     status, out, err = fpk(*LINE, "--out", tmp_path)
-    assert (status, err) == (0, "") and "4 points" in out
+    assert (status, err) == (0, "") and "4 points" in " ".join(out.split())
     with xr.open_dataset(tmp_path / "result.nc", engine="h5netcdf") as data:
         assert data["value"].dims == ("quantity", "route", "contact.clearance", "system.mass.1")
         at = {"quantity": "rms(q2)", "route": "exact", "contact.clearance": 2.0}
@@ -206,7 +200,7 @@ def test_two_axes_are_numeric_coordinates_and_a_heat_picture(fpk, tmp_path):
         system = with_numbers(load_scene("fig3a").system, {"contact.clearance": 2.0})
         assert one["value"] == face.solve(system, ["q2"], methods=["exact"])["q2"].rms().value
     page = (tmp_path / "result.html").read_text(encoding="utf-8")
-    assert page.count("<tr>") == 1 + 4 * 4 * 3 and "<img" in page
+    assert page.count("<tr>") == 1 + 4 * 4 and "<img" in page
     assert "http:" not in page.replace("http://www.w3.org", "")
     # What made it, with the seed that nobody gave, and the files beside it.
     command = unescape(page.partition("<pre>fpk sweep")[2].partition("</pre>")[0])
