@@ -151,7 +151,10 @@ for _name, _lines in EXAMPLES.items():
 
 
 def run_app() -> None:
-    """Run the command line, then exit; a user's mistake ends in one line with the status 2."""
+    """Run the command line, then exit; a user's mistake ends in one line with the status 2.
+
+    ``NotCertified`` and a closed pipe end with the status 1. Ctrl-C raises ``KeyboardInterrupt``.
+    """
     # What the libraries allocate stays: to look for garbage in it again and again while they are
     # imported, and once more at the end, takes a fifth of the time of a short command.
     gc.set_threshold(100_000, 50, 50)

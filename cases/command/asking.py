@@ -47,7 +47,7 @@ class Asked:
     """The scene, the method and the options that the user set for it.
 
     ``solver`` None: any of the method's. ``tol``: the tolerance of the answer, None for the
-    method's own. ``settings``: further fields of the method by name, None if the user gave none.
+    method's own. ``settings``: further fields of the method by name, None if not given.
     """
 
     scene: "Scene"
@@ -88,7 +88,7 @@ class Asked:
     def _answer(
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, str, float]:
-        """The method, its answer, a note on a loosened tolerance, seconds; raises ``BadInput``."""
+        """The method, answer, a note on a looser tolerance or "", seconds; raises ``BadInput``."""
         from cases.compare.routes import all_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 

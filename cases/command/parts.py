@@ -30,7 +30,7 @@ class NonEmptyPath(click.Path):
     """A path; the empty text, which would mean the working folder, is refused."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the path; refuse the empty text, such as an unset shell variable."""
+        """Return the path; raise ``click.BadParameter`` for "", such as an unset shell variable."""
         if not os.fspath(value):
             self.fail('"" is no path; write "." for this folder', param, ctx)
         return super().convert(value, param, ctx)
@@ -141,8 +141,8 @@ def read(option: str, text: str, parse: Callable[[], Any]) -> Any:
 def only_observables(scene: "Scene", names: Sequence[str], *, whole: bool) -> "Scene":
     """Return a copy of the scene with the observables ``names`` alone, without questions in time.
 
-    Without ``names`` both stay. ``whole``: all routes run; only then the scene's claims, which are
-    about all routes and observables, stay, and its own densities must be given. Raises
+    Without ``names`` both stay, and if all routes run (``whole``) the scene's claims, which are
+    about all routes and observables, and ``densities_asked``, which is True with ``names``. Raises
     ``BadInput`` for a name of no observable.
     """
     if names:
@@ -215,7 +215,7 @@ def with_plain_keys(record: Any) -> Any:
 def as_wide(text: str) -> str:
     """Return ``text`` wrapped to the width of the terminal, lines continued with an indent.
 
-    Unchanged if the output is a file or a pipe.
+    Unchanged if the output is a file, a pipe, or a terminal narrower than ``NARROWEST``.
     """
     width = get_terminal_size((0, 0)).columns
     if width < NARROWEST:
@@ -239,7 +239,7 @@ def outcome_of(scene: "Scene", methods: Any, **settings: Any) -> "Outcome":
 
 
 def check_cluster(address: str | None) -> None:
-    """Raise ``BadInput`` or ``Unavailable`` if no Dask cluster answers at ``address``, if given."""
+    """Raise ``Unavailable`` if no usable Dask cluster answers at ``address``; None: do nothing."""
     if address is not None:
         from sim.sample.workers import workers_of
 

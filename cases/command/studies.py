@@ -243,8 +243,8 @@ def verify(scenes: tuple[str, ...], coarse: bool, solver: tuple[str, ...], **set
 
 
 def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method"]:
-    """Return ``methods``, each simulation limited to ``VERIFY_SECONDS`` if all, over all curves of
-    the scene, are expected to take longer."""
+    """Return ``methods``, each simulation limited to ``VERIFY_SECONDS`` if all together, over all
+    curves of the scene, are expected to take longer."""
     from sim.montecarlo import MonteCarlo
     from sim.sample.settings import estimate_seconds
 

@@ -23,7 +23,8 @@ bar hides."""
 def progress_bar() -> Iterator[Progress]:
     """Return a context with a callback ``(done, total, what)`` that draws a bar for each ``what``.
 
-    The bars, and words while numba compiles, are on standard error, if that is a terminal.
+    ``done`` is all work so far. The bars, and words while numba compiles, are on standard error;
+    if that is no terminal, the callback does nothing.
     """
     if not sys.stderr.isatty():
         yield silent

@@ -20,8 +20,8 @@ def claim_folder(folder: Path | None, identity: Record) -> Iterator[None]:
 
     None: nothing is done. The folder is made if missing, and its file ``run.json`` with all that
     the stored results depend on: ``identity``, the version and a checksum of the program's sources.
-    Raises ``Unavailable`` if another process uses the folder, ``BadInput`` if its ``run.json``
-    differs or it cannot be written.
+    Raises ``Unavailable`` if another process uses the folder or it cannot be locked, ``BadInput``
+    if its ``run.json`` differs or it cannot be written.
     """
     if folder is None:
         yield

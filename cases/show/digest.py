@@ -114,7 +114,8 @@ def _curve(curve: Answers, key: str, units: Units) -> Record:
 def _replies(replies: Replies, units: Units) -> Record:
     """The record of a question about motion in time: answers, comparisons, refusals (``methods``).
 
-    The densities of a transient are not in it: they are in the netCDF file only.
+    The rows of comparisons have ``of`` for ``observable``. The densities of a transient are not in
+    the record: they are in the netCDF file only.
     """
     question = replies.question
     if isinstance(question, TransientQuestion):
@@ -143,7 +144,7 @@ def _replies(replies: Replies, units: Units) -> Record:
 
 
 def _names(route: Route) -> Record:
-    """The label (``route``), method and solver of a route, and ``solves``: full or averaged."""
+    """The label (``route``), ``method``, ``solver``, and ``solves``: "full" or "averaged"."""
     names = {"route": route.label, "method": route.method, "solver": route.solver}
     return {**names, "solves": route.solves}
 
@@ -170,7 +171,10 @@ def method_record(result: Result) -> Record:
 
 
 def refusal_record(refusal: Refusal) -> Record:
-    """Return the record of a route that gave no answer: its names and the fields of ``refusal``."""
+    """Return the record of a route that gave no answer: its names, ``applies`` False, the reason.
+
+    It has the fields ``observables``, ``reason``, ``failed`` and ``gave_up`` of ``refusal``.
+    """
     own = {key: value for key, value in vars(refusal).items() if key != "route"}
     return {**_names(refusal.route), "applies": False, **own}
 
@@ -214,10 +218,11 @@ def quantity_row(quantity: Quantity, units: Units = NO_UNITS) -> Record:
 
 
 def averaging_errors(name: str, comparisons: Iterable[Comparison]) -> list[Record]:
-    """Return a row with the ``L1`` distance to the full system for each averaged theory.
+    """Return a row with the ``L1`` distance to the full system for each averaged ``theory``.
 
     ``name`` is the observable's. ``error`` is the part of L1 that sampling and solvers explain; of
-    several answers for the full system the ``reference`` is the answer with the least ``error``.
+    several answers for the full system the ``reference`` is the label with the least ``error``. The
+    ``theory`` is a method, or the label of a simulated averaged equation.
     """
     averaging: dict[str, Record] = {}
     for c in sorted(comparisons, key=lambda c: c.error):
@@ -235,7 +240,10 @@ def _theory(route: Route) -> str:
 
 
 def verify_row(digest: Record) -> Record:
-    """Return the counts, problems and claims of a run; an unjudged curve is a problem, too."""
+    """Return the counts, problems and claims of a run; an unjudged curve is a problem, too.
+
+    ``certificates`` is the number of certificates that hold; ``holds``: there is no problem.
+    """
     curves = curves_of(digest)
     unjudged = [
         f"{curve['label'] or digest['scene']}: no comparison was judged"

@@ -28,7 +28,7 @@ MODES_SHOWN = 50
 MASSES, LINEAR_MASSES = 3, 50
 """Largest numbers of masses, with one contact mass and without contacts, for which the rms of every
 displacement is computed, in about a second. Otherwise, and for damping that depends on the state
-beside a contact, only the rms of the contact mass."""
+beside a contact, only the rms of the contact mass, if there is one."""
 RMS_METHODS = ("linear", "exact", "nonintegrable")
 """Methods tried in this order for the rms of a displacement; the first two are exact for (6)."""
 
@@ -76,9 +76,10 @@ def units_record(scene: Scene) -> Record | None:
 def check_record(scene: Scene) -> Record:
     """Return the record of ``fpk check``: sizes, theories, questions, estimated seconds of a run.
 
-    ``refused`` and ``applies`` are about stationary densities; ``stationary_refusal`` says why the
-    system has none, and is None if it has a stationary state. ``simulation_seconds`` is None if
-    the simulation is refused, for the reason in ``simulation_refusal``.
+    ``applies`` has methods, ``refused`` and ``left_out`` records of ``theories``, for stationary
+    densities; ``stationary_refusal`` says why the system has none, and is None if it has a
+    stationary state. ``simulation_seconds`` is for all curves together, None if the simulation is
+    refused, for the reason in ``simulation_refusal``.
     """
     listed = theories(scene)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
@@ -112,8 +113,8 @@ def facts_record(system: System) -> Record:
     """Return the system, its effects, and its regime: the facts that decide between the theories.
 
     Masses count from 1. ``incompatible`` says why the compatibility condition (8) fails; None if it
-    holds. ``contacts_negligible``: the rule of section 6.3 allows neglecting every contact; None if
-    the motion without contacts is not stationary.
+    holds. ``contacts_negligible``: the rule of section 6.3 allows neglecting every contact, True
+    without contacts; None if the motion without contacts is not stationary.
     """
     effects, stops = effects_of(system), system.fact(stop_clearances)
     beyond = [stop.beyond_rule for stop in stops]
@@ -206,8 +207,8 @@ def modes_record(system: System) -> list[Record]:
     """Return frequency ω_m, damping ratio and shape of the natural modes, the slowest first.
 
     The ratio is c*_mm/(2 ω_m), c* = Tᵀ c T with Tᵀ M T = 1, c the constant damping. ``coupled`` is
-    the largest |c*_ml|/√(c*_mm c*_ll) over the other modes l. The component of a shape that is
-    largest in modulus is 1. Modes beyond ``MODES_SHOWN`` are left out.
+    the largest |c*_ml|/√(c*_mm c*_ll) over the other modes l, 0 without damping. The component of a
+    shape that is largest in modulus is 1. Modes beyond ``MODES_SHOWN`` are left out.
     """
     shapes, omega = natural_modes(system)
     c = shapes.T @ system.damping @ shapes
@@ -228,10 +229,11 @@ def modes_record(system: System) -> list[Record]:
 
 
 def rms_record(system: System) -> list[Record]:
-    """Return √E q_i² with its numerical error, the label of its route and the equation it solves.
+    """Return a row for each displacement (``of``): √E q_i² (``value``), its ``error``, ``route``.
 
-    ``MASSES`` says for which masses. Empty if no method of ``RMS_METHODS`` applies, or if more than
-    one mass has stops: integrals that take seconds. Errors may be large.
+    ``MASSES`` says for which masses; ``solves`` is "full" or "averaged". Empty for no mass, if no
+    method of ``RMS_METHODS`` applies, or if more than one mass has stops: integrals that take
+    seconds. The numerical errors may be large.
     """
     touching = system.contact_masses
     if len(touching) > 1:

@@ -101,8 +101,8 @@ def write_variables(variables: Variables, attributes: Mapping[str, str], path: P
 def write_csv(outcome: Outcome, path: Path) -> list[Path]:
     """Write the densities as lines ``curve, observable, route, x, y, density, error``.
 
-    ``y`` is empty for one coordinate. If the scene names its units, ``unit_x, unit_y,
-    unit_density`` follow. Returns ``[path]``; raises as ``write_by``.
+    A missing answer has no lines. ``y`` is empty for one coordinate. If the scene names its units,
+    ``unit_x, unit_y, unit_density`` follow. Returns ``[path]``; raises as ``write_by``.
     """
     stream = StringIO()
     lines = csv.writer(stream, lineterminator="\n")

@@ -25,8 +25,8 @@ def write_text(path: Path, text: str) -> None:
 def write_by(path: Path, write: Callable[[Path], object]) -> None:
     """Call ``write`` with a temporary path, to which it writes, then move that file to ``path``.
 
-    Raises ``BadInput`` if the folder or the disk does not allow it. A file that was at ``path`` is
-    replaced in one step, or unchanged after an error.
+    Raises ``BadInput`` if the folder, which must exist, or the disk does not allow it. A file that
+    was at ``path`` is replaced in one step, or unchanged after an error.
     """
     refusal = readable_errors(path, *NOT_WRITTEN)
     with refusal, TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
@@ -36,7 +36,7 @@ def write_by(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Return the folder at ``path``, made if missing; ``BadInput`` if it cannot be written."""
+    """Return ``path``, a folder made with its parents if missing; ``BadInput`` if not writable."""
     with readable_errors(path, *NOT_WRITTEN):
         path.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=PREFIX, dir=path):

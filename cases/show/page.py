@@ -87,8 +87,9 @@ class PageStyle:
 def page_record(scripts: Sequence[str] = ()) -> Record:
     """Return ``style``, ``script`` and ``script_hash`` for the template ``page.html``.
 
-    ``scripts`` are names of files in ``templates``, joined in this order. The content security
-    policy of the page allows the script with this hash alone, or none.
+    ``style`` is a new ``PageStyle``. ``scripts`` are names of files in ``templates``, joined in
+    this order. The content security policy of the page allows the script with this hash alone;
+    without ``scripts`` the hash is ``'none'``.
     """
     script = Markup("\n").join(map(_template, scripts))
     allowed = _hash(script) if scripts else "'none'"
@@ -96,10 +97,10 @@ def page_record(scripts: Sequence[str] = ()) -> Record:
 
 
 def origin_record(command: str, downloads: Sequence[str], *, seeds: Sequence[int] = ()) -> Record:
-    """Return the record of ``origin.html``: the ``command`` that made a page, and all versions.
+    """Return the record of ``origin.html``: the arguments, and ``versions`` as (name, version).
 
-    ``downloads`` are names of files beside the page. ``seeds`` of the simulation are listed because
-    the ``command`` need not name them.
+    ``command`` made the page, ``downloads`` are names of files beside it. ``seeds`` of the
+    simulation are listed because the ``command`` need not name them.
     """
     return {
         "command": command,
@@ -122,7 +123,7 @@ def script_record(plots: Sequence[Record], **more: Any) -> Record:
 def round_values(*, error: Any = None, **values: Any) -> Record:
     """Return each sequence of ``values``, under its key, as numbers of ``DIGITS`` digits.
 
-    The sequence ``error``, if not None, is rounded up to ``ERROR_DIGITS``. NaN becomes None.
+    The sequence ``error``, if given, is rounded up to ``ERROR_DIGITS``. NaN gives None, inf stays.
     """
     own = {key: [_finite(f"{v:.{DIGITS - 1}e}") for v in each] for key, each in values.items()}
     return (
@@ -135,7 +136,7 @@ def _finite(text: str) -> float | None:
 
 
 def as_script_data(record: Record) -> Markup:
-    """Return ``record`` as JSON with ``<``, ``>``, ``&`` escaped; raise ``ValueError`` for NaN."""
+    """Return ``record`` as JSON, ``<``, ``>``, ``&`` escaped; ``ValueError`` for NaN and inf."""
     text = json.dumps(record, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")

@@ -27,7 +27,8 @@ from fpk.numeric.errors import InvalidInput, Unavailable
 def summary_frame(answers: Answers) -> Any:
     """Return the quantities as a data frame of pandas with rows (observable, quantity).
 
-    Columns (route, "value" or "error" or "error_kind"). Raises ``Unavailable`` without pandas.
+    Columns (route, "value" or "error" or "error_kind"), NaN for a missing answer; empty without
+    quantities. Raises ``Unavailable`` without pandas.
     """
     pandas = import_optional("pandas")
     frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
@@ -44,7 +45,8 @@ def summary_frame(answers: Answers) -> Any:
 def dataset(answers: Answers) -> Any:
     """Return the densities and errors (route, coordinates) on common grids as an xarray data set.
 
-    Raises ``Unavailable`` if xarray is not installed.
+    Names are as in ``write_netcdf``, without the dimension ``curve``; no units are named. Raises
+    ``Unavailable`` if xarray is not installed.
     """
     xarray = import_optional("xarray")
     variables: Variables = {}

@@ -111,7 +111,10 @@ def answer_units(units: Units, given: Record, key: str) -> dict[str, str | list[
 
 
 def passage_numbers(answer: Passage) -> Record:
-    """Return moments, failure rate, P(T > t), P(T ≤ t) and their errors, NaN if unknown, by key."""
+    """Return moments, failure rate, P(T > t), P(T ≤ t) and their errors, NaN if unknown, by key.
+
+    Keys: ``times``, ``mean``, ``mean_error`` and so on by ``PASSAGE_NUMBERS``, ``PASSAGE_CURVES``.
+    """
     record: Record = {}
     for key, (*_, read) in PASSAGE_NUMBERS.items():
         record[key], record[f"{key}_error"] = read(answer)

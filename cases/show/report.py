@@ -56,7 +56,7 @@ def write_report(
     command: str = "",
     progress: Progress = silent,
 ) -> list[Path]:
-    """Write ``report.html`` and the pictures into ``folder``; return their paths.
+    """Write ``report.html`` and the pictures into ``folder``; return their paths in this order.
 
     ``digest`` is ``digest_of(outcome)``; the page shows ``command``, by default ``fpk run`` of the
     scene, with links to the pictures and to all netCDF files in the folder. Every file appears
@@ -85,7 +85,10 @@ def write_report(
 
 
 def figures(outcome: Outcome, *, progress: Progress = silent) -> Iterator[tuple[str, str, Figure]]:
-    """Yield file stem, caption and figure: densities, differences, answers in time."""
+    """Yield file stem, caption and figure: densities, differences, answers in time.
+
+    A pair is drawn for the first curve that has its density.
+    """
     with mpl.rc_context(dict(STYLE)), in_units(outcome.scene.units):
         for k, observable in enumerate(outcome.scene.observables, start=1):
             curves = [c for c in outcome.curves if c.densities(observable)]
@@ -182,7 +185,8 @@ def headline_of(curves: list[Record]) -> str:
     so. For each curve and theory the largest L1 distance of a density is given, each density by the
     reference that leaves the smallest error. Under modulated noise the densities at the times of
     the [[transient]] tables are compared, or else P(T > t) of the [[passage]] tables; without these
-    tables the sentence says that it is about constant noise. Empty if no distance is known.
+    tables the sentence says that it is about constant noise. Empty if neither a distance nor the
+    exact density of all is known.
     """
     parts = []
     for curve in curves:
@@ -287,10 +291,11 @@ def _subject_and_distances(curve: Record) -> tuple[str, list[Record]]:
 
 
 def _worst(rows: list[Record]) -> dict[str, tuple[float, float]]:
-    """By theory, in words for readers, the largest L1 distance of its densities and its error.
+    """By theory the largest ``L1`` of its rows and the ``error`` of this row; best theory first.
 
-    The best theory comes first. ``rows`` are from ``_subject_and_distances``; of two rows of one
-    density, by solution and simulation, the row with the smaller error counts.
+    Keys are names of theories for readers, without solvers. ``rows`` are from
+    ``_subject_and_distances``; of several rows of one theory and observable, by solution and
+    simulation, the row with the smallest error counts.
     """
     best: dict[tuple[str, str], tuple[float, float]] = {}
     for row in sorted(rows, key=lambda row: row["error"]):

@@ -24,14 +24,15 @@ MOST_MODES = 12
 def slider_model(
     curve: Answers, observables: Sequence[Observable], units: Record | None = None
 ) -> tuple[Record | None, str]:
-    """Return the parameters of Eqs. (29), (30), (34), (36), and words for numbers not computed.
+    """Return the parameters of Eqs. (29), (30), (34), (36), and a sentence on what is not computed.
 
-    The parameters are None if no closed form applies, and the words say why: energy averaging among
-    the answers, constant damping, unmodulated noise, one contact mass and power laws are needed.
-    Without an answer by an averaged theory they are None and the words empty. ``B`` and
-    ``delta`` of each contact, ``c`` and ``D`` of each mass have names and values as run; a full
-    matrix has one factor instead, of value 1. Rates are linear in c and D: α = Σ c rate / Σ D rate,
-    and so are the modal damping and noise, whose neglected correlation is at most ``most``.
+    The parameters are None, and the sentence says why, unless energy averaging has answered, with
+    constant damping, unmodulated noise, one contact mass and power laws, and one of ``observables``
+    has a closed form. The sentence is empty if all is computed, and with None if neither energy
+    nor modal averaging has answered. ``B`` and ``delta`` of each contact, ``c`` and ``D`` of each
+    mass have names and values as run; a full matrix has one factor instead, of value 1. Rates are
+    linear in c and D: α = Σ c rate / Σ D rate, and so are the modal damping and noise, whose
+    neglected correlation is at most ``most``. ``of`` has the closed forms by observable.
     ``units`` is ``units_record``; it gives the ``unit`` of everything but a factor.
     """
     system = curve.system

@@ -162,7 +162,7 @@ class Page:
     def text(self) -> str:
         """Return the page as Markdown.
 
-        The title has the scene's own, any text: its characters stand for themselves.
+        Characters of ``MARKUP`` are escaped in the title, which has the scene's own, any text.
         """
         title = MARKUP.sub(r"\\\g<0>", self.title)
         tables = [line for t in self.tables if t.rows for line in t.markdown()]

@@ -111,7 +111,8 @@ def refusals_of(curve: Record) -> list[Record]:
     """Return the refusals in ``curve``, an entry of ``curves_of``; one entry for each reason.
 
     ``routes`` names the theories in words, with their solvers if a theory has several; ``methods``
-    has their keys and solvers, ``observables`` the names that are refused.
+    has dictionaries, whose keys are solvers, by key of a theory; ``observables`` has the names that
+    are refused. ``reason``, ``failed`` and ``gave_up`` are fields of ``refusal_record``.
     """
     joined: dict[tuple[str, bool, bool], Record] = {}
     for r in curve["methods"]:
@@ -142,7 +143,7 @@ def refusals_of(curve: Record) -> list[Record]:
 
 
 def verdict_of(digest: Record) -> str:
-    """Return the verdict in one sentence."""
+    """Return how many comparisons of a run were judged and how many checks fail, in words."""
     if digest["problems"]:
         count = len(digest["problems"])
         words = "1 check fails" if count == 1 else f"{count} checks fail"
@@ -193,7 +194,7 @@ def theory_table(rows: Sequence[Record], *, every: bool = False) -> Record:
 
 
 def quantity_tables(rows: Sequence[Record], width: int, every: bool = False) -> list[str]:
-    """Return ``quantity_rows`` as lines at most ``width`` columns wide; ``every``: all routes."""
+    """Return lines of a ``text_table`` and an empty line for each table of ``quantity_rows``."""
     lines: list[str] = []
     for table in quantity_rows(rows, every=every):
         lines += [*text_table(table, width), ""]

@@ -25,7 +25,7 @@ Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], Mapping[str, str]]]
 """Dimensions, values and attributes by name, as ``xarray.Dataset`` takes them."""
 
 Read = Callable[[Any], Any]
-"""Function of an answer that returns a number or an array, and its error."""
+"""Function of an answer that returns a pair: a number or an array, and its error."""
 
 Part = tuple[tuple[str, str], str, str, Read, Mapping[str, int]]
 """A quantity of every answer: the beginnings of its name and of its error's name, its description,
@@ -132,7 +132,7 @@ def time_variables(outcome: "Outcome") -> Variables:
 
 
 def _variables(name: str, column: tuple[Replies, ...], units: Units) -> Variables:
-    """The ``time_variables`` of a question, to which ``column`` has the replies of every curve."""
+    """The ``time_variables`` of the question ``name``; ``column`` has the replies of each curve."""
     answers = {(i, g.route.label): g.answer for i, r in enumerate(column) for g in r.given}
     if not answers:
         return {}

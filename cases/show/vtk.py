@@ -37,7 +37,8 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
 
     The collection is ``path`` itself if the scene has one observable, else ``…_q2.pvd`` and so on
     beside it. Each has a ``.vtu`` for each curve, the numbers ascending, and the stops as a second
-    part. Returns the paths written; raises as ``write_by``.
+    part. Curves and observables without a density are left out. Returns the paths written; raises
+    as ``write_by``.
     """
     written: list[Path] = []
     numbers = curve_numbers(outcome)
@@ -66,7 +67,8 @@ def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
     """Write each transient k = 1, 2, … of the scene's own system as a collection over time.
 
     ``transient_k.pvd`` lists a ``.vtu`` for each time with the densities and errors by every route
-    on lines between the points. Returns the paths written; raises as ``write_by``.
+    on lines between the points; none for a transient without an answer. Returns the paths written;
+    raises as ``write_by``.
     """
     written: list[Path] = []
     for k, replies in enumerate(outcome.curves[0].transients, start=1):

@@ -60,7 +60,8 @@ def line_pictures(
 ) -> Iterator[tuple[str, str, Figure]]:
     """Yield file name without ending, caption and figure of all pictures over one coordinate.
 
-    The densities, linear and logarithmic, ``solver_differences`` and ``theory_differences``.
+    The densities, linear (``density_q2``) and logarithmic (``density_q2_log``), and, if not None,
+    ``solver_differences`` (``solver_q2``) and ``theory_differences`` (``left_q2``).
     """
     name = observable_name(observable)
     curves = sorted(curves, key=lambda c: c.value or 0.0)
@@ -84,7 +85,8 @@ def line_pictures(
 def joint_pictures(curve: Answers, observable: Observable) -> Iterator[tuple[str, str, Figure]]:
     """Yield file name without ending, caption and figure of all pictures of a pair.
 
-    Contours, differences of two solvers, and surfaces unless ``fall_exponentially``.
+    Contours (``density_q2_p2``), differences of the ``solver_pair``, if any (``solver_…``),
+    and surfaces unless ``fall_exponentially`` (``surface_…``).
     """
     name = observable_name(observable)
     stem, log = name.replace(",", "_"), fall_exponentially(observable)
@@ -192,8 +194,8 @@ def solver_differences(
 ) -> Panel | None:
     """Return the difference at ``x`` of two solvers of one averaged equation, and a band.
 
-    The band is ± the sum of their stated errors. None if no equation has two solvers here.
-    ``number`` of the curve, from 0, gives its colour.
+    The solver with the smaller L1 error is subtracted. The band is ± the sum of their errors. None
+    if no equation has two solvers here. ``number`` of the curve, from 0, gives its colour.
     """
     if (pair := solver_pair(curve, observable)) is None:
         return None
@@ -259,8 +261,8 @@ def points_within(sampled: SampledDensity, count: int, x: Array) -> tuple[Array,
 def joint_fields(curve: Answers, observable: Observable, *, log: bool) -> list[Field]:
     """Return the joint density of a pair by every route, on common levels; ``log``: logarithmic.
 
-    A function has values at points, a sample the values of its bins. Second solvers of an equation
-    have ``shown`` False.
+    A function has values at points, a sample the values of its bins. Functions that ``lines_of``
+    leaves out, such as second solvers of an equation, have ``shown`` False.
     """
     densities = curve.densities(observable)
     drawn = lines_of(curve, observable)
@@ -295,7 +297,7 @@ def _map_axes(
 def _on_common_levels(
     fields: list[Field], observable: Observable, curves: Sequence[Answers], *, log: bool
 ) -> list[Field]:
-    """Copies of the fields with levels from 0 to the largest value, and the stops of ``curves``."""
+    """Copies of the fields: limits 0 and the largest value, ``lowest``, the stops of ``curves``."""
     stops = stops_of(curves, observable[:1]), stops_of(curves, observable[1:])
     limits = 0.0, max(float(field.values.max()) for field in fields)
     own: Any = {"logarithmic": log, "limits": limits, "lowest": SHOWN, "stops": stops}
@@ -305,8 +307,9 @@ def _on_common_levels(
 def surface_figure(curve: Answers, observable: Observable) -> Figure:
     """Draw the joint density as surfaces of the same height scale: one theory and simulations.
 
-    The theory is the exact density if it is known, else an averaged theory; theories that neglect
-    something, the contacts for example, come last.
+    The theory is a solution of the full system if there is one, else an averaged theory; theories
+    that neglect something, the contacts for example, come last. The simulations are of the full
+    system.
     """
     theories = sorted(lines_of(curve, observable).items(), key=lambda a: curve.neglects(a[0]))
     full = [a for a in samples_of(curve, observable).items() if a[0].solves == "full"]

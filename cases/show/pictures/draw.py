@@ -38,7 +38,8 @@ def column_figure(
 ) -> Figure:
     """Draw the panels below each other over one x axis, ``height`` inches each.
 
-    One legend stands above all. ``figure``, if given, is drawn into and resized, else a new figure.
+    One legend stands above all; a lone panel has no title. ``figure``, if given, is drawn into and
+    resized, else a new figure.
     """
     figure = figure or Figure()
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]

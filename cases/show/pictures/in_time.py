@@ -36,7 +36,10 @@ rest is too light on white."""
 
 
 def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
-    """Yield file name, ending with ``label``, caption and panel of every question to be drawn."""
+    """Yield file name without ending, ``passage_1`` + ``label``, caption, panel of each question.
+
+    Left out are questions without answers, passages without times, transients without windows.
+    """
     suffix = f", {curve.label}" if curve.label else ""
     for k, replies in enumerate(curve.passages, start=1):
         if replies.given and replies.question.times:
@@ -52,11 +55,12 @@ def time_panels(curve: Answers, label: str) -> Iterator[tuple[str, str, Panel]]:
 
 
 def passage_panel(replies: Replies, title: str) -> Panel:
-    """Return P(T > t), or P(T ≤ t) of rare failure, by every route.
+    """Return P(T > t) by route, or P(T ≤ t) if all give less than ``RARE`` at the last time.
 
     P(T > t) begins with 1 at t = 0, unless the start is random and may lie beyond the limit. Bands
-    and bars are the errors that the answers state. The times asked for are marked. Values that the
-    logarithmic scale does not reach, or whose error is not known, are left out.
+    and bars are ± the stated errors of solutions, ± 2 standard errors of samples. The times asked
+    for are marked. Values that the logarithmic scale does not reach, or whose error is not known,
+    are left out, as are further solvers of one equation.
     """
     assert isinstance(replies.question, PassageQuestion)
     answers = [(r, p) for r, p in _answers_to_draw(replies) if isinstance(p, Passage)]

@@ -28,12 +28,12 @@ DECADES = 100.0
 class Curve:
     """Values ``y`` over ``x``, equally long, with their ``name`` in the legend.
 
-    ``bar`` has the error of each value: bars of ``bars`` errors are drawn, and a band if ``band``;
-    with ``bars`` 0 only the page's read-out says it. ``style`` is a key of ``DASHES``, or "none" if
-    the points are not joined. ``marker`` is a key of ``MARKERS``, empty for none; None takes the
-    next of them, as an empty ``colour`` takes the next of ``COLOURS``. Each ``group`` has a colour
-    of its own, and dashes and markers distinguish the names within it. ``brief`` is the name in a
-    drawn picture, if that is another. ``dashed`` are the coordinates (x, y) of a line of theory,
+    ``bar`` has the error of each value: bars of ± ``bars`` errors are drawn at markers, and a band
+    if ``band``; with ``bars`` 0 only the page's read-out says it. ``style`` is a key of ``DASHES``,
+    or "none" if the points are not joined. ``marker`` is a key of ``MARKERS``, empty for none; None
+    takes the next of them, as an empty ``colour`` takes the next of ``COLOURS``. Curves of one
+    ``group`` should have one colour; dashes and markers distinguish their names. ``brief`` is the
+    name in a drawn picture, if that is another. ``dashed`` are (x, y) of a line of theory,
     ``notes`` have the words of the page about each point. A curve that is not ``shown`` appears in
     the page on demand; ``form`` names the closed form that its script evaluates.
     """
@@ -66,11 +66,11 @@ class Panel:
     """Curves over one axis; ``x`` and ``y`` are the words of the axes with their units.
 
     ``floor``: values below it are not resolved; ``marks``: horizontal levels with their words.
-    ``limits`` are the ends of the y axis. A linear y axis begins with 0 if ``zero``; a logarithmic
-    one ends at the share ``lowest`` of the largest value, if that is not 0. ``stops`` are the
-    places of stops on the x axis; beyond the only stop of a side the panel is shaded. ``by_x``: the
-    lines give the ends of the x axis, and a reader of the page asks for all curves at one x; else
-    for the nearest point of a curve.
+    ``logarithmic`` is the scale of the x axis. ``limits`` are the ends of the y axis, None for ends
+    by the values. A linear y axis begins with 0 if ``zero``; a logarithmic y axis ends at the share
+    ``lowest`` of the largest value, if that is not 0. ``stops`` are the places of stops on the x
+    axis; beyond the only stop of a side the panel is shaded. ``by_x``: the lines give the ends of
+    the x axis, and a reader of the page asks for all curves at one x; else for the nearest point.
     """
 
     title: str
@@ -88,9 +88,9 @@ class Panel:
     stops: Sequence[float] = ()
 
     def styled(self) -> list[tuple[Curve, str, str, Array]]:
-        """Return every curve with its colour, key of its marker, and the values y (points,) drawn.
+        """Return every curve, its colour, key of its marker or "", and values y (points,) drawn.
 
-        On a logarithmic axis without ``lowest`` these are at least ``EPS``.
+        On a logarithmic y axis without ``lowest`` these are at least ``EPS``.
         """
         rows = []
         for curve, colour, marker in zip(self.curves, cycle(COLOURS), cycle(MARKERS), strict=False):
@@ -190,7 +190,7 @@ class Field:
     border that is drawn, which ``border`` names. ``smooth``: the page interpolates between the
     points, else it shows cells around them. ``lowest`` is the share of the largest value at which a
     logarithmic scale ends. ``stops`` are the places of stops on either axis. A field that is not
-    ``shown`` appears in the page on demand.
+    ``shown`` appears in the page on demand. ``brief`` is the title over contours, if another.
     """
 
     title: str
@@ -248,7 +248,7 @@ def map_record(fields: Sequence[Field], **more: Any) -> Record:
 
 
 def live_plots(panels: Sequence[Panel | Field], still: str) -> list[Record]:
-    """Return the data of the plots for the page's script: one for each panel, one for all fields.
+    """Return the data of the page's plots: first one for each panel, then one for all fields.
 
     ``still`` is the id of the figure that they replace; their ids are ``still_0`` and so on.
     """

@@ -90,9 +90,9 @@ def words_of(coordinate: Coordinate) -> str:
 
 
 def lines_of(curve: Answers, observable: Observable) -> dict[Route, Density]:
-    """Return the densities drawn as lines: the exact density, the first of each averaged method.
+    """Return the densities drawn as lines: the first for the full system and each averaged method.
 
-    An averaged method that is exact here is not drawn beside the exact density.
+    An averaged method that is exact here is not drawn beside a solution of the full system.
     """
     drawn: dict[str, tuple[Route, Density]] = {}
     for route, density in curve.densities(observable).items():
