@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from systems import TURNED as TURNED
 from systems import by_energy
 
 from averaging.modal.analysis import modal_analysis
@@ -140,13 +139,10 @@ def modal_van_der_pol(own=0.03, others=0.03, mass=(1.0, 1.0)):
     return by_modes(base, [-0.004, 0.01], [2e-4, 2e-4], terms)
 
 
-PROPORTIONAL = np.array([[0.02, 0.005], [0.005, 0.01]])
-
-
 def noise_proportional(h0, h1, contacts=(), *, scale=1.0):
     """c = (h0 + h1 H) f D fᵀ: condition (8), so the density is C exp(−h0 H − h1 H²/2)."""
-    numbers = [h0, h1], scale * PROPORTIONAL, contacts
-    return by_energy(*numbers, mass=(1.0, 2.0), stiffness=(1.0, 1.5))
+    D = scale * np.array([[0.02, 0.005], [0.005, 0.01]])
+    return by_energy([h0, h1], D, contacts, mass=(1.0, 2.0), stiffness=(1.0, 1.5))
 
 
 def three_to_one(coefficient, *, energy=False, power=2):

@@ -32,7 +32,6 @@ FULL_D = np.array([[0.02, 0.01, 0.0], [0.01, 0.03, 0.005], [0.0, 0.005, 0.01]])
 SYSTEMS = {
     "fig6": fig6(),
     "three, full": System([1.0, 0.5, 2.0], [1.0, 2.0, 1.5], FULL_C, FULL_D),
-    "one mass": System([2.0], [3.0], [0.1], [0.05]),
 }
 
 
@@ -108,9 +107,6 @@ def test_for_equal_modal_temperatures_four_theories_agree():
     for four in zip(*(solved(m, system, *ALL) for m in methods), strict=True):
         for other in four[:3]:
             assert l1_distance(other, four[3]) < 1e-10, other.name
-    # Where damping and noise are not in proportion averaging errs.
-    for one, two in zip(*(solved(m, fig6(), *ALL[:5]) for m in methods[1:3]), strict=True):
-        assert l1_distance(one, two) > 1e-3
 
 
 def test_strongly_correlated_displacements_keep_to_their_error():

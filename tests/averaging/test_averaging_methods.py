@@ -21,28 +21,38 @@ FULL_D = np.array([[0.05, 0.02], [0.02, 0.08]])
 GYRO = np.array([[0.0, 0.3], [-0.3, 0.0]])
 
 
+TURN = tuple(DampingTerm(i + 1, 2 - i, 0.3 * (1 - 2 * i), q=((1, 1),)) for i in range(2))
+"""Turns without working, which leaves the density alone, unless it depends on velocities."""
+DRAGGED = tuple(DampingTerm(t.i, t.j, t.coefficient, v=((1, 1),)) for t in TURN)
+
+
 @pytest.mark.parametrize(
-    "damping, noise, h",
+    "damping, noise, terms, h",
     [
-        ([0.2, 0.4], [0.1, 0.2], 2.0),
-        (3.0 * FULL_D + GYRO, FULL_D, 3.0),
-        ([0.2, 0.4 * (1.0 + 1e-9)], [0.1, 0.2], None),
-        (3.0 * np.diag(np.diag(FULL_D)), FULL_D, None),
-        ([0.2, 0.0], [0.1, 0.2], None),
-        ([0.0, 0.0], [0.1, 0.2], None),
-        ([0.2, 0.4], [0.0, 0.0], None),
+        ([0.2, 0.4], [0.1, 0.2], (), 2.0),
+        (3.0 * FULL_D + GYRO, FULL_D, (), 3.0),
+        ([0.2, 0.4 * (1.0 + 1e-9)], [0.1, 0.2], (), None),
+        (3.0 * np.diag(np.diag(FULL_D)), FULL_D, (), None),
+        ([0.2, 0.0], [0.1, 0.2], (), None),
+        ([0.0, 0.0], [0.1, 0.2], (), None),
+        ([0.2, 0.4], [0.0, 0.0], (), None),
+        ([0.1, 0.2], [0.1, 0.2], TURN, 1.0),
+        ([0.1, 0.2], [0.1, 0.2], DRAGGED, None),
+        ([0.1, 0.2], [0.1, 0.2], (DampingTerm(1, 1, 0.1, energy=1),), None),
+        ([-0.05, 0.02], [0.1, 0.1], (DampingTerm(1, 1, 0.1, q=((1, 2),)),), None),
     ],
 )
-def test_condition_8(damping, noise, h):
-    system = System([1.0, 2.0], [1.0, 1.0], damping, noise)
+def test_condition_8(damping, noise, terms, h):
+    system = System([1.0, 2.0], [1.0, 1.0], damping, noise, damping_terms=terms)
     if h is None:
         with pytest.raises(NotApplicable, match=r"\(8\)"):
             compatibility(system)
         return
     assert compatibility(system) == pytest.approx([h], rel=1e-14)
-    # For a linear system (7) can be checked: its covariance is that of exp(−h H).
-    expected = np.linalg.inv(system.stiffness_matrix) / h
-    np.testing.assert_allclose(stationary_covariance(system)[:2, :2], expected, rtol=1e-9)
+    if not terms:
+        # For a linear system (7) can be checked: its covariance is that of exp(−h H).
+        expected = np.linalg.inv(system.stiffness_matrix) / h
+        np.testing.assert_allclose(stationary_covariance(system)[:2, :2], expected, rtol=1e-9)
 
 
 FED = noise_proportional(-50.0, 100.0, scale=0.1)

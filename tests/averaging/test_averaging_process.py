@@ -6,12 +6,11 @@ from asked import assert_known, refusal, solved
 from systems import both, chain
 
 from averaging import NonIntegrable
-from averaging.energy_process import compatibility, energy_process
+from averaging.energy_process import energy_process
 from averaging.zero_flux import solve_by_quadrature
 from fpk import Contact, DampingTerm, System
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
-from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.stationary import solve_stationary
 
@@ -108,22 +107,6 @@ def test_what_has_no_stationary_density_is_refused_with_the_reason():
         given = refusal(NonIntegrable(solver), system, name)
         assert given and reason in given
     assert NonIntegrable("fem").refusal(cycle(1, 0.1), parse_observable("H", 1)) is None
-
-
-def test_condition_8_with_terms():
-    with pytest.raises(NotApplicable, match=r"\(8\)"):
-        compatibility(cycle(2, 0.1))
-    D = [0.1, 0.2]
-    unequal = System([1, 1], [1, 1], D, D, damping_terms=(DampingTerm(1, 1, 0.1, energy=1),))
-    with pytest.raises(NotApplicable, match=r"\(8\)"):
-        compatibility(unequal)
-    # What turns without working leaves the density alone, unless it depends on velocities.
-    turn = tuple(DampingTerm(i + 1, 2 - i, 0.3 * (1 - 2 * i), q=((1, 1),)) for i in range(2))
-    system = System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=turn)
-    np.testing.assert_allclose(compatibility(system), [1.0])
-    dragged = tuple(DampingTerm(t.i, t.j, t.coefficient, v=((1, 1),)) for t in turn)
-    with pytest.raises(NotApplicable, match=r"\(8\)"):
-        compatibility(System([1.0, 1.0], [1.0, 1.0], D, D, damping_terms=dragged))
 
 
 @pytest.mark.parametrize("contacts", [(), (Contact(1, "both", 10.0, 0.3),)], ids=["free", "stop"])

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asked import assert_refused, modal_van_der_pol, transient
+from asked import modal_van_der_pol, transient
 from scipy.special import roots_gegenbauer
 from scipy.stats import multivariate_normal
 
@@ -17,7 +17,6 @@ from averaging import Integrable, NonIntegrable
 from averaging.modal.analysis import modal_analysis
 from fpk import Contact, System
 from fpk.answer.names import parse_observable
-from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.quadrature import panel_rule
 
 ONE = System([1.5], [2.0], [0.1], [0.03])
@@ -25,7 +24,7 @@ TWO = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
 THREE = System([1.0, 2.0, 0.5], [1.0, 3.0, 2.0], [0.1, 0.3, 0.1], [0.02, 0.05, 0.01])
 HERTZ = replace(TWO, contacts=(Contact(2, "right", 10.0, 0.3, law="hertz"),))
 MODES, TOTAL, FEM = Integrable(), NonIntegrable("closed-form"), NonIntegrable("fem")
-PLANE, QUADRATURE = Integrable("fem"), NonIntegrable("quadrature")
+PLANE = Integrable("fem")
 
 
 def assert_within_stated_error(method, asked, exact, tol=1e-8, at_tol=1e-10):
@@ -144,27 +143,6 @@ def test_two_energies_by_elements_give_the_closed_form():
     assert_within_stated_error(
         PLANE, asked, transient(MODES, *asked, tol=1e-10).values, at_tol=1e-8
     )
-
-
-STOPS = replace(THREE, contacts=tuple(Contact(i, "both", 10.0, 0.5) for i in (1, 2)))
-
-
-@pytest.mark.parametrize(
-    ("method", "system", "name", "start", "t", "error", "words"),
-    [
-        (PLANE, THREE, "q1", "rest", 1.0, NotApplicable, "two modal energies, not for"),
-        (QUADRATURE, TWO, "q1", "rest", 1.0, NotApplicable, "stationary densities"),
-        (TOTAL, HERTZ, "q1", "rest", 1.0, NotApplicable, "the system has contacts"),
-        (FEM, TWO, "H1", "rest", 1.0, NotApplicable, "knows the total energy only"),
-        (FEM, STOPS, "p1", "rest", 1.0, NotApplicable, "one contact mass at the most"),
-        (MODES, TWO, "q1,H1", "rest", 1.0, NotApplicable, "in time"),
-        (MODES, TWO, "q1", "rest", 0.0, InvalidInput, "must be > 0"),
-        (TOTAL, TWO, "q1,p1", "H=0.5", 1e-6, NotApplicable, "too narrow"),
-    ],
-)
-def test_refusals_are_one_line(method, system, name, start, t, error, words):
-    points = [np.zeros(1)] * (name.count(",") + 1)
-    assert_refused(error, words, transient, method, system, name, start, [t], *points)
 
 
 def test_a_start_under_noise_has_a_density_at_once():

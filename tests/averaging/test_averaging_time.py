@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asked import assert_agree, assert_near, assert_refused, passage, transient
+from asked import (
+    assert_agree,
+    assert_near,
+    assert_refused,
+    modal_van_der_pol,
+    passage,
+    transient,
+)
+from systems import both, chain
 
 from averaging import Integrable, NonIntegrable
 from fpk import Contact, DampingTerm, System
@@ -20,7 +28,9 @@ FREE = System([1.0, 2.0], [1.0, 3.0], [0.1, 0.3], [0.02, 0.05])
 TOUCHING = replace(FREE, contacts=(Contact(2, "both", 10.0, 0.5),))
 FADING = replace(FREE, modulation=Modulation([0.0, 4.0, 10.0], [0.2, 1.4, 0.0]))
 FEM, CLOSED, QUADRATURE = (NonIntegrable(s) for s in ("fem", "closed-form", "quadrature"))
-MODES = Integrable("closed-form")
+MODES, PLANE = Integrable("closed-form"), Integrable("fem")
+THREE = chain(3)
+STOPS = replace(THREE, contacts=(*both(10.0, mass=1), *both(10.0)))
 
 
 def test_solvers_agree_on_first_passage_and_rates():
@@ -183,6 +193,21 @@ TRANSIENTS = [
     (CLOSED, QUIET, "H", "rest", [2.0], InvalidInput, "no noise has"),
     (FEM, FADING, "q1", "rest", [20.0], NotApplicable, "after the end of the noise"),
     (FEM, FED, "H", "rest", [12.0], NotApplicable, "feeds energy in"),
+    # Displacements and momenta.
+    (PLANE, THREE, "q1", "rest", [1.0], NotApplicable, "two modal energies, not for"),
+    (QUADRATURE, FREE, "q1", "rest", [1.0], NotApplicable, "stationary densities"),
+    (CLOSED, TOUCHING, "q1", "rest", [1.0], NotApplicable, "the system has contacts"),
+    (FEM, STOPS, "p1", "rest", [1.0], NotApplicable, "one contact mass at the most"),
+    (MODES, FREE, "q1,H1", "rest", [1.0], NotApplicable, "in time"),
+    (MODES, FREE, "q1", "rest", [0.0], InvalidInput, "must be > 0"),
+    (CLOSED, FREE, "q1,p1", "H=0.5", [1e-6], NotApplicable, "too narrow"),
+    # Modal energies; where the noise is modulated, other reasons still come first.
+    (PLANE, FREE, "H1", "H=0.3", [1.0], NotApplicable, "every modal"),
+    (PLANE, FREE, "H1", "rest", [0.0, 1.0], InvalidInput, "> 0"),
+    (PLANE, FREE, "H1", "rest", [2.0, 1.0], InvalidInput, "ascend"),
+    (Integrable("quadrature"), FADING, "H1", "rest", [1.0], NotApplicable, "closed-form or fem"),
+    (PLANE, FADING, "H1", "H=0.3", [1.0], NotApplicable, "every modal"),
+    (PLANE, FADING, "H1", "rest", [1.0], NotApplicable, "modulated"),
 ]
 PASSAGES = [
     (FEM, FREE, "H1=1", "rest", (), NotApplicable, "total energy"),
@@ -194,10 +219,16 @@ PASSAGES = [
     (FEM, replace(FREE, noise_intensity=[0, 0]), "H=1", "rest", (), NotApplicable, "no noise"),
     (CLOSED, FADING, "H=1", "rest", [1.0], NotApplicable, "modulated"),
     (MODES, FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
-    (Integrable("fem"), FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
+    (PLANE, FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
     (FEM, QUIET, "H=0.9", "H=0.2", [5.0], InvalidInput, "decays without noise"),
     (FEM, SILENT, "H=0.9", "rest", [5.0], NotApplicable, "no noise at any time"),
     (FEM, FED, "H=0.05", "rest", [12.0], NotApplicable, "feeds energy in"),
+    (PLANE, FREE, "q2=1", "rest", (), NotApplicable, "no displacement"),
+    (MODES, FREE, "H=1", "rest", (), NotApplicable, "use fem"),
+    (PLANE, FREE, "H1=1", "H1=1,H2=0", (), InvalidInput, "below the limit"),
+    (PLANE, FREE, "H=1", "H1=0.5,H2=0.6", (), InvalidInput, "below the limit"),
+    (MODES, modal_van_der_pol(), "H1=1", "rest", (), NotApplicable, "use fem"),
+    (Integrable("quadrature"), FREE, "H1=1", "rest", (), NotApplicable, "closed-form or fem"),
 ]
 
 
@@ -206,5 +237,5 @@ PASSAGES = [
     [*((transient, *row) for row in TRANSIENTS), *((passage, *row) for row in PASSAGES)],
 )
 def test_refusals_are_one_line(ask, method, system, name, start, times, error, words):
-    points = [[0.1]] if ask is transient else []
+    points = [[0.1]] * (1 + name.count(",")) if ask is transient else []
     assert_refused(error, words, ask, method, system, name, start, times, *points)

@@ -6,6 +6,7 @@ from typing import Any
 
 import asked
 import numpy as np
+import pytest
 import systems
 from asked import passage
 
@@ -113,6 +114,10 @@ def estimated(
     times = np.array(times, dtype=float)
     question = Asked(system, tol, silent, times=times, **known)
     return passage_of(np.stack([fine, coarse, until]), question, tol, step, memory, {})
+
+
+def slow(*row: Any) -> Any:
+    return pytest.param(*row, marks=pytest.mark.slow)
 
 
 def slow_clock(monkeypatch: Any) -> None:

@@ -11,13 +11,8 @@ from fpk.answer.names import parse_observable
 from fpk.system.linear import linear_covariance
 from fpk.system.system import System
 
-
-def nearly_alike(split):
-    """Two modes that a weak spring splits by little: what is computed of them loses digits."""
-    D = np.array([0.01, 0.02])
-    return System([1.0, 1.0], [1.0, split], 4.0 * D, D)
-
-
+# What is computed of modes that a weak spring splits by little loses digits.
+NEARLY_ALIKE = System([1.0, 1.0], [1.0, 1e-7], [0.04, 0.08], [0.01, 0.02])
 # Noise that all but misses one motion: its share is known to round-off of the other's.
 NEARLY_ONE = np.array([[1.0, 1.0 - 1e-9], [1.0 - 1e-9, 1.0]])
 
@@ -26,7 +21,11 @@ NEARLY_ONE = np.array([[1.0, 1.0 - 1e-9], [1.0 - 1e-9, 1.0]])
     ("method", "system", "names"),
     [
         # ω1 and ω2 differ by 1e-7 of their size: θ is known to 1e-9 or so.
-        (Integrable, nearly_alike(1e-7), ("H2,H1", "H", "q1,q2")),
+        (
+            Integrable,
+            NEARLY_ALIKE,
+            ("H2,H1", "H", "q1,q2"),
+        ),
         (Linear, System([1.0, 1.0], [1.0, 1e-6], [0.1, 0.1], NEARLY_ONE), ("H", "q1,p2")),
     ],
 )

@@ -1,14 +1,11 @@
 """Modal energies in time: finite elements against closed forms, and refusals."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from asked import (
     assert_agree,
     assert_known,
     assert_near,
-    assert_refused,
     modal_van_der_pol,
     noise_proportional,
     passage,
@@ -24,14 +21,11 @@ from averaging.modal.analysis import modal_analysis
 from fpk import DampingTerm, System
 from fpk.answer.density import l1_distance
 from fpk.answer.method import silent
-from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.solvers.square_root import SquareRoot
-from fpk.system.modulation import Modulation
 
 FIG8 = System([1.0, 1.0], [1.0, 1.0], [0.05, 0.07], [0.015, 0.015])
 ALIKE = System([1.0, 1.0], [1.0, 1.0], [0.1, 0.1], [0.05, 0.05])
-FADING = replace(FIG8, modulation=Modulation([0.0, 4.0, 10.0], [0.2, 1.4, 0.0]))
-CLOSED, FEM, QUADRATURE = (Integrable(s) for s in ("closed-form", "fem", "quadrature"))
+CLOSED, FEM = Integrable("closed-form"), Integrable("fem")
 PAIR = [0.0, 0.1, 0.4], [0.0, 0.3, 0.1]
 
 
@@ -90,38 +84,6 @@ def test_relaxation_rates_are_sums_of_multiples_of_the_decays():
     decays = 2.0 * FIG8.fact(modal_analysis).half_bandwidth
     assert_allclose(exact.values[0].real, decays.min(), rtol=1e-14)
     assert_near(fem, exact)
-
-
-TRANSIENTS = [
-    (CLOSED, FIG8, "q1,H1", "rest", [1.0], NotApplicable, "energies"),
-    (FEM, FIG8, "H1", "H=0.3", [1.0], NotApplicable, "every modal"),
-    (FEM, FIG8, "H1", "rest", [0.0, 1.0], InvalidInput, "> 0"),
-    (FEM, FIG8, "H1", "rest", [2.0, 1.0], InvalidInput, "ascend"),
-    # Where the noise is modulated, other reasons still come first.
-    (QUADRATURE, FADING, "H1", "rest", [1.0], NotApplicable, "closed-form or fem"),
-    (FEM, FADING, "H1", "H=0.3", [1.0], NotApplicable, "every modal"),
-    (FEM, FADING, "H1", "rest", [1.0], NotApplicable, "modulated"),
-]
-PASSAGES = [
-    (FEM, FIG8, "q2=1", "rest", NotApplicable, "no displacement"),
-    (CLOSED, FIG8, "H=1", "rest", NotApplicable, "use fem"),
-    (FEM, FIG8, "H1=1", "H1=1,H2=0", InvalidInput, "below the limit"),
-    (FEM, FIG8, "H=1", "H1=0.5,H2=0.6", InvalidInput, "below the limit"),
-    (CLOSED, modal_van_der_pol(), "H1=1", "rest", NotApplicable, "use fem"),
-    (QUADRATURE, FIG8, "H1=1", "rest", NotApplicable, "closed-form or fem"),
-]
-
-
-@pytest.mark.parametrize(
-    ("asked", "method", "system", "name", "start", "times", "error", "words"),
-    [
-        *((transient, *row) for row in TRANSIENTS),
-        *((passage, *row[:4], (), *row[4:]) for row in PASSAGES),
-    ],
-)
-def test_refusals_are_one_line(asked, method, system, name, start, times, error, words):
-    points = [[0.0]] * (1 + name.count(",")) if asked is transient else []
-    assert_refused(error, words, asked, method, system, name, start, times, *points)
 
 
 NAMES = ("H2,H1", "H1", "H", "q1", "p2", "q1,q2", "q1,p2")

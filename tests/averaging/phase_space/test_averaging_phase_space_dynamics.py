@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from asked import TURNED, ask, assert_near, assert_refused
+from asked import ask, assert_near, assert_refused
 from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import eigs
+from systems import TURNED
 from test_averaging_phase_space import wrong
 
 import fpk

@@ -4,6 +4,8 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from asked import solved
+from references import EnergyReference, chain_of, pieces
 from scipy import stats
 from scipy.special import erfc
 from test_fpk_bin_fit import drawn
@@ -31,11 +33,6 @@ def assert_within(number, true, most=1.0):
     assert abs(number.value - true) <= most * number.error, (number, true)
 
 
-def solved(method, system, name):
-    (density,) = method.solve(system, [parse_observable(name, system.n)]).densities
-    return density
-
-
 @cache
 def known(name):
     """A Gaussian, one with contact, and by finite elements the energy of two masses at T = 0.3."""
@@ -45,7 +42,8 @@ def known(name):
         "contact": (Exact(), EXACT, "q2"),
         "energy": (NonIntegrable(tol=1e-9), FREE, "H"),
     }[name]
-    return solved(method, system, observable)
+    (density,) = solved(method, system, observable)
+    return density
 
 
 GAMMA = stats.gamma(2, scale=0.3)
@@ -114,23 +112,17 @@ def test_an_l1_error_that_is_at_no_point_is_in_the_moments(power):
 
 
 def test_contact_in_an_exact_scene_against_quadrature():
-    def weight(q):
-        # q1 is Gaussian given q2: the springs in series have the stiffness 1/2.
-        overlap = np.maximum(q - STOP.clearance, 0.0)
-        return np.exp(-(0.25 * q**2 + STOP.energy(overlap)) / 0.3)
+    reference = EnergyReference(chain_of(EXACT))
 
-    x, w = np.polynomial.legendre.leggauss(2000)
-    y, v = 0.5 * (x + 1.0), 0.5 * w
-    # In the root of the distance from the stop, of which the force is a smooth function.
-    sides = [(STOP.clearance + d * y**2, abs(d) * 2.0 * y * v) for d in (-9.3, 3.7)]
-    total = sum(w @ weight(q) for q, w in sides)
-    q, w = sides[1]
-    force = w @ (weight(q) * STOP.force(q - STOP.clearance)) / total
-    touching = w @ weight(q) / total
+    def beyond(of):
+        ends = STOP.clearance + np.array([0.0, 3.7])
+        return pieces(lambda q: of(q - STOP.clearance) * reference.of_displacement(1, q)[0], ends)
+
+    force, touching = beyond(STOP.force), beyond(np.ones_like)
     density = known("contact")
     felt = contact_quantities(STOP, density)
     assert_within(felt["contact probability"], touching)
-    assert_within(felt["mean overlap"], w @ (weight(q) * (q - STOP.clearance)) / total)
+    assert_within(felt["mean overlap"], beyond(lambda overlap: overlap))
     assert_within(felt["mean force"], force)
     assert_within(felt["force in contact"], force / touching)
     assert felt["mean force"].error < 1e-8 * force
@@ -144,7 +136,7 @@ def test_contact_in_an_exact_scene_against_quadrature():
 
 
 def test_joint_densities_have_expectations_but_no_quantiles():
-    joint = solved(Exact(), EXACT, "q2,p2")
+    (joint,) = solved(Exact(), EXACT, "q2,p2")
     assert_within(joint.expectation(lambda q, p: p**2), 0.3)
     assert_within(joint.moment(0, 2), 0.3)
     for powers in ((2,), (2, -1), (1, 1, 1), (0.5, 1), ("2", 1)):

@@ -14,6 +14,7 @@ from sim_systems import (
     linear,
     oscillator,
     passed,
+    slow,
     slow_clock,
     transient,
 )
@@ -105,10 +106,6 @@ def test_step_bias_of_the_mean_is_of_second_order() -> None:
     assert abs(far) > 8.0 * np.hypot(e1, e3)
     # Second order: (1.6² − 0.2²)/(0.8² − 0.2²) = 4.2; first order would give 2.3.
     assert abs(near) < abs(far) / 3.0 + 4.0 * np.hypot(e2, e3)
-
-
-def slow(*row):
-    return pytest.param(*row, marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from numba import njit
 from processes import failure
 from scipy.stats import kstest
 from scipy.stats import t as student
-from sim_systems import exact, fig6, mixed, oscillator, passed
+from sim_systems import exact, fig6, mixed, oscillator, passed, slow
 from test_step_schemes import contact
 
 import sim.questions.splitting.run as splitting_run
@@ -263,10 +263,6 @@ def test_starts_on_a_shell():
 
 
 TERMS = (DampingTerm(1, 1, 0.05, q=((1, 2),)), DampingTerm(2, 1, 0.02, energy=1))
-
-
-def slow(*row):
-    return pytest.param(*row, marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize(
