@@ -240,16 +240,6 @@ def test_a_default_that_is_missed_is_a_note_and_a_tolerance_reaches_what_solves_
         assert not strict.notes and f"exceeds the tolerance {own:.0e}" in problem
 
 
-def test_routes_of_constant_noise_refuse_a_modulated_one():
-    system = load_scene("modulated").system
-    transient = load_scene("modulated").transients[0]
-    passage = replace(PASSAGE, limit=parse_limit("H=1", system.n))
-    for question, solver in ((transient, "fem"), (passage, "closed-form"), (passage, "fem")):
-        found = replies_of(system, question, [method_for("integrable", solver)])
-        assert not found.given and found.refused
-        assert all("modulated" in r.reason and not r.failed for r in found.refused)
-
-
 @pytest.fixture(scope="module")
 def outcome():
     solvers = [method_for("nonintegrable", s) for s in ("fem", "closed-form")]
