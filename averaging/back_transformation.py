@@ -91,10 +91,11 @@ def marginal_of(
 ) -> tuple[Callable[..., Array], Callable[..., Array], Callable[..., Array]]:
     """Return the density of the observed (q, p), u(H) integrated over the others, and two errors.
 
-    The first two functions map arrays of q and p, broadcast together, to the integral and to its
-    whole absolute error; the third maps the integral and the same arrays to the error of tables and
-    quadrature alone. If ``flux_of`` is the mass m of the observed displacement, the integral is
-    ∫_0^∞ (p/m) f dp, the upcrossings per unit time.
+    The first two functions map arrays of q and p, one for each coordinate of ``observable`` in its
+    order, broadcast together, to the integral and to its whole absolute error; the third maps the
+    integral and the same arrays to the error of tables and quadrature alone. If ``flux_of`` is the
+    mass m of the observed displacement, the integral is ∫_0^∞ (p/m) f dp, the upcrossings per unit
+    time.
     """
     system, T = source.system, source.temperature
     q = [c.row for c in observable if c.kind == "q"]
@@ -131,8 +132,9 @@ def marginal_of(
 
 
 Observed = Callable[[Sequence[Array]], tuple[Array, Array]]
-"""Maps the observed q and p, (N,) each, to the displacements (displacements, N) and their energy
-(N,), with the masses that are not observed at their conditional minimum, at rest."""
+"""Maps the observed q and p, (N,) each in the order of the observable, to the observed
+displacements (displacements, N) and to the energy (N,) of all observed coordinates: other momenta
+are 0, other displacements at the minimum of the springs' energy."""
 
 
 def reduction(

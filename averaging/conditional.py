@@ -97,6 +97,7 @@ def hidden_integral(
     each of ``laws`` is the law of a hidden mass given these and the hidden masses before it. f
     falls by a factor e over ``temperature`` and is 0 beyond ``end``. Each panel has ``points``
     Gauss points. ``beyond``, a function of the last hidden displacement, multiplies f; None: 1.
+    Without ``laws`` the result is f(E), and ``beyond`` has no effect.
     """
     if not laws:
         return f(energy)
@@ -138,6 +139,7 @@ def gibbs_integral(
 ) -> tuple[Array, float]:
     """Return ∫exp(−V(hidden | observed)/T) Π √(a_k/2πT) (N,) over the contact masses not observed.
 
+    a_k are the ``Conditional.precision`` of the hidden masses: without contact the integral is 1.
     The second result bounds the absolute error by interpolation, without the error of the Gauss
     rule of ``points`` on each panel. ``at`` (observed, N) are the displacements of the masses
     ``observed`` (0-based), T is ``temperature``. Up to two hidden masses between observed masses
@@ -221,8 +223,9 @@ def stop_panels(
 ) -> Array:
     """Return panel nodes of the displacement of ``mass`` (0-based), at most ``width`` apart.
 
-    They reach up to the potential energy ``end``. Panels also end at the stops of the mass and at
-    the displacements at which a stop has the contact energies ``levels``.
+    The first and the last node are where the springs alone, the other masses at the minimum of
+    their energy, or one stop alone has the energy ``end``, whichever is nearer to 0. Panels also
+    end at the stops of the mass and where a stop has the contact energies ``levels``.
     """
     most = float(np.sqrt(2.0 * system.compliance[mass, mass] * end))
     stops = [stop for stop in system.stops if stop.index == mass]
@@ -236,9 +239,10 @@ def stop_panels(
 
 
 def contact_levels(temperature: float, end: float) -> list[float]:
-    """Return contact energies (levels,) at which panels end, ascending up to at least ``end``.
+    """Return contact energies (levels,) at which panels end, ascending.
 
-    ``CONTACT_LEVELS`` times ``temperature``, then each twice its predecessor.
+    ``CONTACT_LEVELS`` times ``temperature``, then each twice its predecessor; the last is at least
+    ``end`` and at least ``DEPTH`` times ``temperature``.
     """
     doubled = 2.0 ** np.arange(1.0, ceil(log2(max(end / temperature, DEPTH))) + 1.0)
     return [temperature * level for level in (*CONTACT_LEVELS, *doubled)]

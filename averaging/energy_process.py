@@ -59,7 +59,8 @@ def compatibility(system: System) -> Array:
 
     The result holds the coefficients of H^0, H^1, …; with constant damping there is one. The
     antisymmetric part of c does no work and is omitted, unless it depends on velocities. Raises
-    ``NotApplicable`` if no h meets the condition, or if h is not positive at high energy.
+    ``NotApplicable`` if no h meets the condition, if h is not positive at high energy, and without
+    noise or damping.
     """
     D = system.noise_matrix
     if not np.any(D):

@@ -63,7 +63,7 @@ class Gaussian:
     residual: float
 
     def refusal(self, observable: Observable) -> str | None:
-        """Return in words that one of a pair is a multiple of the other, None if it is not."""
+        """Return in words that one of two coordinates is a multiple of the other, else None."""
         if len(observable) < 2:
             return None
         rows, _, L = self._standardised(observable)
@@ -182,8 +182,8 @@ def _contour(scales: Array, shape: float, x: Array, nodes: int) -> tuple[Array, 
     """Return the terms of the sum of ``gamma_sum`` on ``nodes`` nodes, their exponents, and z.
 
     All three are (*shape of ``x``, nodes). The density is the sum of the real parts of the terms;
-    ``scales`` (k,) and ``shape`` are as there. For x < 0 the terms are 0, for x = 0 their limits
-    from above.
+    ``scales`` (k,) and ``shape`` are as there. For x < 0 the terms are 0, for x = 0 their values at
+    a tiny x > 0.
     """
     largest = float(np.max(scales))
     t = np.maximum(x / largest, SMALLEST**0.5)[..., None]
@@ -311,8 +311,8 @@ class Linear(Theory):
         """Return the ``asked.count`` slowest eigenvalues Σ n_j μ_j of −L, n_j = 0, 1, … not all 0.
 
         μ_j are the eigenvalues of minus the drift matrix: products of linear eigenfunctions are
-        eigenfunctions of L up to terms of lower degree. A conjugate pair counts once, with
-        Im >= 0.
+        eigenfunctions of L up to terms of lower degree. Real parts ascend. A conjugate pair
+        counts once, with Im >= 0.
         """
         system = asked.system
         self.planned(system, ())

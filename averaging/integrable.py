@@ -123,7 +123,8 @@ class Integrable(Theory):
         """Return the answer of type ``kind`` to ``question``: transient, passage or relaxation.
 
         The tolerance is ``MODAL_TOL`` if ``asked`` has none. Raises ``NotApplicable`` near a
-        resonance, for modes that the solver cannot couple, and unless it is closed-form or fem.
+        resonance, for coupled modes that the solver refuses, for a solver other than "closed-form"
+        and "fem", and for passage and relaxation under modulated noise.
         """
         system, tol = asked.system, asked.tol or MODAL_TOL
         if question != "passage":

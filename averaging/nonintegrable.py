@@ -85,7 +85,9 @@ class NonIntegrable(EnergyTheory):
 
         Without a tolerance ``tol_for`` gives it, at least ``MODULATED_TOL`` by finite elements
         under modulated noise. Raises ``InvalidInput`` for the time 0 if the start is a known energy
-        or, by finite elements, if q or p is observed; ``NotApplicable`` if the solver cannot do it.
+        or, by finite elements, if q or p is observed; ``NotApplicable`` for modal energies, by
+        finite elements as ``state_transient`` and for q or p after modulated noise has ended at 0,
+        by other solvers as ``square_root``.
         """
         system, observable, modulation = asked.system, asked.observable, asked.system.modulation
         require_held(system)
@@ -125,8 +127,9 @@ class NonIntegrable(EnergyTheory):
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of the limit ``asked.limit`` by the energy H.
 
-        Tolerance: see ``transient``. Raises ``NotApplicable`` for a limit of any other quantity,
-        ``InvalidInput`` for a start at or above the limit.
+        Tolerance: see ``transient``. Raises ``NotApplicable`` for a limit of any other quantity and
+        by other solvers than "fem" as ``square_root`` and for a stationary start, ``InvalidInput``
+        for a start at or above the limit.
         """
         system, process = asked.system, asked.system.fact(energy_process)
         if asked.limit.kind != "H":
@@ -148,7 +151,8 @@ class NonIntegrable(EnergyTheory):
     def relaxation(self, asked: Asked) -> Rates:
         """Return the ``asked.count`` smallest positive eigenvalues of −L, 1/time, ascending.
 
-        L is the generator of the energy. Raises ``NotApplicable`` if the noise is modulated.
+        L is the generator of the energy. Raises ``NotApplicable`` if the noise is modulated, and by
+        other solvers than "fem" as ``square_root``.
         """
         system, tol = asked.system, asked.tol or self.tol_for(asked.system)
         require_held(system)
@@ -165,7 +169,11 @@ class NonIntegrable(EnergyTheory):
         return with_energy_start(asked, asked.tol or default)
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u = p/T, p the density of the averaged energy, and the settings of the solver."""
+        """Return u = p/T, p the density of the averaged energy, and the settings of the solver.
+
+        They are "equation", and unless in closed form "last energy", "tol" and "panels", or by
+        elements "degree", "elements" and "unknowns".
+        """
         if self.solver == "closed-form":
             return state_closed_form(system, rate_by_energy(system)), {"equation": "(29)"}
         tol = self.tol_for(system)

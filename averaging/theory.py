@@ -63,7 +63,10 @@ class Theory(Method):
         return ROUTES[self.method, self.solver]
 
     def refined(self) -> Self:
-        """Return a copy with a tenth of the tolerance or of its default, at least ``SMALLEST``."""
+        """Return a copy with a tenth of ``tol``, at least ``SMALLEST``.
+
+        For None this is a tenth of ``UNIFORM_TOL`` by scikit-fem, else of ``DEFAULT``.
+        """
         default = UNIFORM_TOL if self.route.named else DEFAULT
         return replace(self, tol=max(0.1 * tolerance(self.tol, default), SMALLEST))
 
@@ -178,7 +181,7 @@ class Exact(EnergyTheory):
         return h.size == 1
 
     def state(self, system: System) -> tuple[StateDensity, dict[str, str | float | int]]:
-        """Return u and the settings: equation and coefficients of h in ascending powers of H.
+        """Return u and the settings "equation", "h" (its constant part), "h, H^1", "h, H^2", …
 
         With constant damping the residual is max |c − h D|/max |h D|, c symmetric; see (8).
         """

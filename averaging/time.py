@@ -60,7 +60,8 @@ class EnergyStart:
 def with_energy_start(asked: Asked, tol: float, modes: ModalAnalysis | None = None) -> Asked:
     """Return a copy of ``asked`` with the tolerance ``tol`` and an ``EnergyStart`` as start.
 
-    The start holds modal energies if ``modes`` are given, otherwise the total energy. Raises
+    The start holds modal energies if ``modes`` are given, otherwise the total energy; a stationary
+    start under no noise (0) is a start at rest. Raises
     ``NotApplicable`` for modal energies without ``modes``, and for a total energy of several modes.
     """
     start, system, n = asked.start, asked.system, 1 if modes is None else modes.n

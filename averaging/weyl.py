@@ -86,7 +86,7 @@ def density_by_tables(system: System, solution: Solution, *, closed: bool = Fals
 class WeylIntegrals:
     """Tables of the Weyl integrals of order ν = ``order`` of u, and of the error of u.
 
-    The finer table of u is the answer; its error is the largest relative difference to a coarser
+    The finer table of ln Ψ is the answer; its error is the largest relative difference to a coarser
     table in each element, plus the error of continuing u beyond the last node as an exponential. If
     damping depends on the state, u is no exponential: then the elements of the finer table are half
     as long, and the whole continuation counts as an error.
@@ -142,7 +142,7 @@ class WeylIntegrals:
     def __call__(self, energy: Array, part: Part = "value") -> Array:
         """Return the ``part`` of Ψ, see ``StateDensity``, at ``energy`` of any shape.
 
-        Beyond the last node the value is 0, with Ψ(``last``) as "error".
+        Beyond the last node the value is 0, with Ψ(``last``) as "error" and 0 as "table".
         """
         if part == "value":
             return np.exp(self.value(energy))

@@ -142,6 +142,8 @@ def solve_energies(
     """Return the stationary density of the energy or the two energies of ``process``.
 
     ``solver`` is "fem", "scikit-fem", or for one energy "quadrature"; ``tol`` is the L1 tolerance.
+    By quadrature it is a ``ZeroFluxDensity``, for two energies a ``PlaneSolution``. Raises
+    ``NotCertified`` if there is no stationary density.
     """
     if solver == "scikit-fem":
         from fpk.solvers.operator import solve_by_scikit_fem  # noqa: PLC0415  (scikit-fem takes 0.2 s)

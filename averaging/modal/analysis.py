@@ -44,7 +44,8 @@ class AveragedDamping:
     def rates(self, group: Sequence[int]) -> Callable[[Array], Array]:
         """Return the function from energies (points, k) of the k modes ``group`` to their γ_m.
 
-        Its values are (points, k). The γ_m of the modes (0-based) depend on no other energy.
+        Its values are (points, k). Monomials with the energy of a mode (0-based) outside ``group``
+        are omitted without a message.
         """
         index = np.array(group)
         rows = np.isin(self.factors, [0, *(index + 1)]).all(axis=1)
@@ -54,7 +55,7 @@ class AveragedDamping:
         return lambda energies: _energy_monomials(factors, energies) @ rate
 
     def mean(self, means: Array) -> tuple[Array, Array]:
-        """Return E[F_m Q̇_k]/E H_k (n, n) and the same of ``sizes``.
+        """Return E[F_m Q̇_k]/E H_k, row m and column k (n, n), and the same of ``sizes``.
 
         Energies are independent and exponential with the ``means`` (n,).
         """
@@ -67,7 +68,7 @@ class AveragedDamping:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """All modes (0-based) in groups: γ_m depends on no energy outside the group of m."""
+        """Ascending groups of all modes (0-based): γ_m depends on energies of its group only."""
         n = self.values.shape[1]
         joined = np.eye(n, n + 1, 1)
         row, mode = np.nonzero(np.einsum("rmm->rm", self.values))
@@ -129,7 +130,8 @@ class ModalAnalysis:
     def process(self, modes: Sequence[int] | None = None) -> Process:
         """Return the process dH_i = s_i dt + σ_il dB_l of the energies of ``modes``, None: of all.
 
-        The damping of ``modes`` (0-based) must not depend on the energies of other modes.
+        The damping of ``modes`` (0-based) must not depend on the energies of other modes; see
+        ``AveragedDamping.rates``.
         ``s_i = d_i − γ_i(H) H_i``, ``b_ii = 2 d_i H_i``, ``b_ij = 0``, (17), (33). Corrections:
         (33) prints s_i without noise and mass, b_ii without H_i and b₂₂ with D₂ for D₁; (18)
         prints P_i/M_j P_j and a noise term without masses. The density of states is the period, a
@@ -155,8 +157,8 @@ class ModalAnalysis:
 def modal_analysis(system: System) -> ModalAnalysis:
     """Return the modes of ``system`` without its contacts, Eqs. (13)-(16).
 
-    Raises ``NotApplicable`` if a mode is not damped or receives no noise, or if damping that
-    depends on the state lets energies grow for ever.
+    Raises ``NotApplicable`` if a mode is not damped or receives no noise, if damping that depends
+    on the state lets energies grow for ever, and as ``damping_averages``.
     """
     T, omega = natural_modes(system)
     averaged, constant = damping_averages(system, T, omega), not system.damping_terms

@@ -130,7 +130,7 @@ def _product_density(observable: Observable, parts: Sequence[Density], tol: floa
     panels = {c: x for part in parts for c, x in zip(part.observable, part.panels, strict=True)}
 
     def both(*energies: Array) -> tuple[Array, Array]:
-        """Return density and error; energies that are not in ``observable`` are integrated out."""
+        """Return density and error at ``energies`` of ``observable``, others integrated out."""
         given, factors = dict(zip(observable, energies, strict=True)), []
         for part in parts:
             hidden = [c for c in part.observable if c not in given]

@@ -102,8 +102,10 @@ def resonances(
 ) -> list[tuple[Integers, float]]:
     """Return integers l and detunings |Σ l_i ω_i|, smallest detuning first, for ``omega`` ω (n,).
 
-    These are all detunings up to ``limit`` with Σ|l_i| in ``sizes``, at most the even ``order``,
-    and the smallest detuning if it is above, at most ``MAX_CANDIDATES``; l and −l count once.
+    These are the l with Σ|l_i| in ``sizes`` and at most ``order`` (even) whose detuning is at most
+    ``limit``, or at most the smallest detuning of any l up to ``order`` if that is larger. They
+    are at most ``MAX_CANDIDATES`` and may be none; l and −l count once, as the vector
+    whose first nonzero entry is positive.
     """
     unit = np.eye(omega.size, dtype=np.int64)
     units = np.vstack([unit, -unit, 0 * unit[:1]])

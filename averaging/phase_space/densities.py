@@ -84,7 +84,12 @@ def expansion_density(ladder: Ladder, observable: Observable, tol: float) -> Den
 
 
 def expansion_settings(ladder: Ladder) -> dict[str, str | float | int]:
-    """Return degrees, why the ladder ended, second moments and the power into each mass."""
+    """Return degrees, why the ladder ended, second moments and the power into each mass.
+
+    The keys are "equation", "highest degree", "degree in the other masses", "solutions" (their
+    number), "ended by" if there is a limit, then for each mass "E q1²" and "E p1²", and "net power
+    of damping and noise on mass 1".
+    """
     e = ladder.finest
     frame, d, (mean, covariance) = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
@@ -114,7 +119,7 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
     """Return E v_i f_i and E r_i f_i (n,), −f the scaled forces of the damping terms on the masses.
 
     The masses are in the frame's order, r_1 is y. The third result is E(f_i | y) at the points y
-    times the weights of the basis, (n, points).
+    times the weights of the basis, (n, points). Without damping terms all are 0.
     """
     b = e.basis
     n, top = b.frame.n, 2 + damping_degree(b.frame)

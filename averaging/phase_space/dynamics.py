@@ -30,7 +30,7 @@ from fpk.solvers.plane.time.transient import KRYLOV_SHARE
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Values (points,) by one solution, and after ``adapt`` their ``errors`` (points,).
+    """Values (points,) by one solution, and absolute ``errors`` (points,), ∞ before ``adapt``.
 
     Errors follow from the difference of two answers in ``compared``, (kinds, points) or all rates,
     plus ``added``; tolerances are relative to ``scale``. ``residual`` is of equations beside the
@@ -75,7 +75,7 @@ def adapt(
     what: str,
     numbers: type = complex,
 ) -> tuple[Ladder, Answer]:
-    """Return the first answer with a relative error up to ``tol``, else the best, and its ladder.
+    """Return a ladder and its answer: the first with a relative error up to ``tol``, else the best.
 
     ``measure`` computes the answer of one solution, ``apart`` the difference of two answers, whose
     error is estimated as for densities. The densities of ``observables`` meet the tolerance, too,
@@ -111,7 +111,7 @@ def adapt(
 
 
 def deviations(e: Expansion, row: int) -> Array:
-    """Return the standard deviations of q and of the velocity of mass ``row`` (0-based)."""
+    """Return the standard deviations (2,) of q and of the velocity of mass ``row`` (0-based)."""
     frame, variances = e.basis.frame, np.diag(moments(e)[1])
     place = frame.order.index(row)
     return np.asarray(np.sqrt(variances[[place, frame.n + place]] / frame.system.mass[row]))
@@ -186,7 +186,8 @@ def correlation(e: Expansion, step: Step, *, row: int, at: Array, tol: float) ->
 def relaxation(e: Expansion, step: Step, *, count: int, work: float) -> Answer:
     """Return the ``count`` slowest eigenvalues λ of −L, Im λ >= 0, each as often as it occurs.
 
-    ``work`` limits the operations, and so the number of eliminations.
+    ``work`` limits the operations, and so the number of eliminations; if they are too few, there
+    may be fewer values, and ``missing`` says so. Each value is its own ``scale``, by magnitude.
     """
     parities = (True, False) if e.basis.mirrored else (False,)
     parts = [resolvent.generator(e, odd=odd, closed=True) for odd in parities]

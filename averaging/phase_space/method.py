@@ -60,7 +60,8 @@ class PhaseSpace(Theory):
 
     ``tol`` is the L1 tolerance of each density: degrees rise until the estimated error meets it, or
     until memory, work or the highest degree ends the refinement, which the certificate then says.
-    ``accepted`` is the largest error that is certified in that case, None: ``tol``. ``memory``
+    ``accepted`` is the largest error that is certified in that case, and ``NotCertified`` is raised
+    for a larger error; None: ``tol``, and the certificate of a larger error fails. ``memory``
     limits one solution, in GB, ``work`` its operations, None: in proportion to the memory, a minute
     on two cores for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
     use these, the threads wait for each other and take ten times as long. ``reference`` is the
@@ -91,15 +92,17 @@ class PhaseSpace(Theory):
     colour = "#5e02e0"
 
     def __post_init__(self) -> None:
-        """Raise ``InvalidInput`` for an unknown solver, or tolerance or memory out of range."""
+        """Raise ``InvalidInput`` as ``Theory`` does, and unless 0 < ``memory`` < ∞."""
         super().__post_init__()
         if not 0.0 < self.memory < inf:
             raise InvalidInput("memory", self.memory, "use a positive number of GB")
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method limited to work of seconds, ``share`` of ``UNASKED_WORK``.
+        """Return a copy limited to work of seconds, ``share`` of ``UNASKED_WORK``.
 
-        Raises ``NotApplicable`` if it would take longer or the exact density is known.
+        Its ``accepted`` is at least 0.01, and it uses one thread if ``threads`` is None. Raises
+        ``NotApplicable`` for more than ``UNASKED_MASSES`` masses, for damping terms, for systems
+        that ``Exact`` or ``Linear`` solves, and as ``prepare``.
         """
         self.planned(system, ())
         if system.n > UNASKED_MASSES:

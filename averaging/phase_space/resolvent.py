@@ -122,8 +122,9 @@ def decays(
     """Return C(t) = c·e^(At) b and C'/``rate`` at the lags t of ``at``, (2, lags), and their error.
 
     The Krylov space of b and (s − A)⁻¹, s = ``rate``, in which A is s − H⁻¹, grows until the last
-    two changes of C, by ``EVERY`` vectors each, are within ``tol`` C(0); the larger change is the
-    error. Raises ``LinAlgError`` if C grows with t.
+    two changes of C, by ``EVERY`` vectors each, are within ``tol`` C(0), or it has ``VECTORS``
+    vectors; the larger change is the error, 0 if the space is invariant. Raises ``LinAlgError`` if
+    C grows with t.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
     for V, H, closed in krylov(solve_shifted(A, rate, step), b[:, None], VECTORS):
@@ -147,7 +148,10 @@ def decays(
 
 
 def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
-    """Return the eigenvalues λ of −A about i ``at``, and the radius within which these are all."""
+    """Return the eigenvalues λ of −A within a radius of i ``at``, and the radius.
+
+    Within it are all eigenvalues; it is ∞ if no computed eigenvalue is inaccurate.
+    """
     solve = solve_shifted(A, 1j * at if at else 0.0, step)
     random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)

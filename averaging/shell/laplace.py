@@ -161,7 +161,8 @@ class PartitionLines:
     def __call__(self, energy: Array, alone: Callable[[System, Array], Array]) -> Array:
         """Return the columns (energies, 2, 3 + degrees) of ``shell_columns`` at ``energy``.
 
-        ``alone`` computes the same for a system with one contact mass.
+        ``alone`` computes the same for a system with one contact mass. Raises ``NotApplicable`` if
+        two contact masses are tied too stiffly (``_grids``).
         """
         # (row of the line, m) of T/T_lin, Φ/Φ_lin, T'/T_lin' and the power times T/T_lin of each
         # group: the inverse transform is relative to H^(n − 1 + m/2)/Γ(n + m/2).
@@ -277,7 +278,8 @@ class PartitionLines:
 
         The outer list is over the rules, the inner over the contact masses. They serve β from
         ``real`` to ``real`` (1 + i ``end``). Next to a stop they are Gauss points in the root of
-        the overlap, in which the contact energy of a Hertz law is a polynomial.
+        the overlap, in which the contact energy of a Hertz law is a polynomial. Raises
+        ``NotApplicable`` if a mass needs more than ``MOST_POINTS`` points.
         """
         turns = CHAIN_RULES[1] * RADIANS / end
         longest = min(WIDTHS_PER_PANEL, turns / (2.0 * RISE) ** 0.5)

@@ -99,7 +99,7 @@ def passage(modes: ModalAnalysis, asked: Asked) -> Passage:
     """Return the first passage of one modal energy, of the first of several, or of their sum.
 
     Raises ``NotApplicable`` for damping terms, for a stationary start, and for the sum of modes of
-    unequal damping or noise.
+    unequal damping or noise; otherwise as ``modal_limits``.
     """
     start, times, tol = asked.start, require_times(asked.times), asked.tol
     limits, energies = modal_limits(asked.limit, start), start.known()
@@ -144,7 +144,8 @@ def _mode(modes: ModalAnalysis, m: int, modulation: Modulation | None = None) ->
 def _equal_modes(modes: ModalAnalysis, modulation: Modulation | None = None) -> SquareRoot | None:
     """Return the process of the sum of all H_m if damping and noise are equal, else None.
 
-    A relative difference up to 1e-12 is accepted and counts as an error.
+    A relative difference up to 1e-12, plus four times the round-off of the modes, is accepted and
+    counts as an error.
     """
     one, c, d = _mode(modes, 0, modulation), np.diag(modes.modal_damping), modes.noise
     unlike = float(max(np.ptp(c) / c[0], np.ptp(d) / d[0]))

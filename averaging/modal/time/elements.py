@@ -30,7 +30,8 @@ from fpk.system.modulation import require_constant_noise
 def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     """Return the densities of one or two modal energies, of the sum of two, or of (q, p).
 
-    Raises ``InvalidInput`` for the time 0, ``NotApplicable`` under modulated noise.
+    Raises ``InvalidInput`` for the time 0, ``NotApplicable`` under modulated noise and unless
+    exactly two modal energies are to be solved for (``_pair_problem``).
     """
     require_constant_noise(asked.system.modulation)
     start, times, at, tol = asked.start, asked.times, asked.at, asked.tol
@@ -78,9 +79,9 @@ def _pair_problem(
 ) -> tuple[list[int], PlaneSolution, PlaneStart]:
     """Return the two modes to solve for, their stationary density and their start.
 
-    They are the modes ``rows`` (0-based), the modes that damping couples to these, and an uncoupled
-    mode if this makes one only. The two are ascending. ``tol`` is the tolerance of the answer.
-    Raises ``NotApplicable`` if they are not two.
+    They are the modes ``rows`` (0-based), the modes that damping couples to these, and if this
+    makes one only, the lowest other mode that is not coupled. The two are ascending.
+    ``tol`` is the tolerance of the answer. Raises ``NotApplicable`` if they are not two.
     """
     behind = {m for group in modes.averaged.groups if set(group) & set(rows) for m in group}
     alone = [g[0] for g in modes.averaged.groups if len(g) == 1 and g[0] not in behind]

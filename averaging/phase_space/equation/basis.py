@@ -118,7 +118,8 @@ class Basis:
     def functions(self, y: Array) -> tuple[Array, Array]:
         """Return the polynomials of all panels at ``y`` (points,), and their derivatives in y.
 
-        Both are (points, polynomials); a panel's are 0 at points of other panels.
+        Both are (points, polynomials); a panel's are 0 at points of other panels. A node belongs to
+        the panel on its right; the first and the last panel include all points outside the support.
         """
         starts = np.cumsum([0, *(p.degree for p in self.panels)])
         values, slopes = (np.zeros((y.size, starts[-1])) for _ in range(2))

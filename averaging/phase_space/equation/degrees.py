@@ -113,8 +113,8 @@ class Space:
     """The degrees k of an expansion, ascending in ``level``, ``others`` and ``counted`` (degrees,).
 
     ``level`` is |k|, ``others`` Σ (j + k) and ``counted`` Σ max(j, k) over the other masses.
-    ``raising_others`` are the a_i⁺ of the other variables on their products alone, the first
-    products of which belong to a level.
+    ``raising_others`` are the a_i⁺ of the other variables on the products of their degrees, sorted
+    by Σ (j + k); level n takes the first of these, up to the sum n.
     """
 
     level: Indices

@@ -57,7 +57,7 @@ class Expansion:
     residual: float
 
     def functions(self, n: int, y: Array) -> Array:
-        """Return u_k at ``y`` (points,), the factor of each Hermite function k of level ``n``."""
+        """Return u_k(``y``), (degrees, points), the factors of Hermite functions of level ``n``."""
         b = self.basis
         values, _ = b.at_points if y is b.points else b.functions(y)
         return np.asarray(self.of_panels(n) @ values.T)
@@ -107,8 +107,9 @@ def expand(
 
     The elimination is in single precision, without the coupling to the second stage below unless
     there are damping terms. If its refinement does not converge it is repeated in double precision,
-    with that coupling, unless this needs more than ``memory`` bytes; the residual tells. ``step``
-    is called with the completed share of an elimination.
+    with that coupling, unless this needs more than ``memory`` bytes. Nothing is raised if neither
+    converges: see ``Expansion.residual``. ``step`` is called with the completed share of an
+    elimination.
     """
     functions = basis(frame, reference, degrees)
     chain = chain_of(functions)

@@ -158,7 +158,7 @@ def gaussian_start(frame: Frame) -> Reference:
     g(y) is replaced by E g + k (y − E y), k = E g (y − E y)/Var y, with the means over the Gaussian
     state of the linear system with this force (Roberts and Spanos, Random Vibration and Statistical
     Linearization, 1990). With damping terms it is ``gibbs_reference``. Raises ``LinAlgError`` if
-    the linear system has no stationary state.
+    the linear system has no stationary state, otherwise as ``gibbs_reference``.
     """
     gibbs, n = gibbs_reference(frame), frame.n
     if frame.system.damping_terms:

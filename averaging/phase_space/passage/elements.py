@@ -144,8 +144,9 @@ class Elements:
 
         ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
         Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,
-        which grows until the last change is below ``RELIABILITY_SHARE`` times the tolerance
-        ``tol``. At H = E, where there are no unknowns, F = 1, which adds a constant.
+        which grows until the last change is below ``RELIABILITY_SHARE`` times ``tol`` times the
+        largest probability, or has ``VECTORS`` vectors. At H = E, where there are no unknowns,
+        F = 1, which adds a constant.
         """
         at_limit = 1.0 - float(start @ self.one)
         last = np.full(times.size, np.inf)

@@ -42,8 +42,10 @@ def phase_space_passage(asked: Asked) -> Passage:
     """Return mean, variance, rate of the first passage ``asked`` for, and P(T <= t) at times.
 
     Meshes are refined until two successive levels agree to the tolerance, relative for mean,
-    variance and rate, absolute for probabilities. Raises as ``fpk.answer.question`` says, and
-    ``NotCertified`` if the density falls below round-off up to the limit or the start.
+    variance and rate, absolute for probabilities; if ``MOST_PASSAGE_UNKNOWNS`` ends this, the last
+    answer is returned with a failed certificate. Raises as ``fpk.answer.question`` says, and
+    ``NotCertified`` if the density falls below round-off up to the limit or the start, or if fewer
+    than two meshes are within ``MOST_PASSAGE_UNKNOWNS``.
     """
     times, o = require_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start

@@ -83,7 +83,7 @@ class Oscillator:
         return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
 
     def kick(self, length: float) -> float:
-        """Return the rms change of v by noise in the time ``travel(length)``, at most m/(2c)."""
+        """Return the rms change of v by noise in the time ``travel(length)``, or m/(2c) if less."""
         memory = 0.5 * self.mass / self.damping if self.damping else inf
         return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
 
