@@ -171,9 +171,9 @@ def reduction(
 
 
 def displacement_panels(system: System, mass: int, *, temperature: float, end: float) -> Array:
-    """Return panel nodes of q_mass (0-based) at energies up to ``end``, a thermal width apart.
+    """Return panel nodes of q_mass (0-based) up to the energy ``end``, at most a width apart.
 
-    The thermal width is the standard deviation at ``temperature`` without contact. Panels are
+    The width is the standard deviation at ``temperature`` without contact. Panels are
     graded beyond every stop of the mass, and about the displacements at which another mass, whose
     width given q_mass is smaller, has its conditional mean at one of its stops.
     """

@@ -219,7 +219,7 @@ def state_closed_form(
     exponent = np.array([norm[0], -alpha])
 
     def weyl(order: float, energy: Array, part: Part = "value") -> Array:
-        """Return Ψ_ν = u/α^ν, ν ``order``, at ``energy``, or its error; 0 for ``part`` "table"."""
+        """Return Ψ_ν = u/α^ν at ``energy``, its absolute error for "error", 0 for "table"."""
         relative = error + _round_off(exponent, energy)
         factor = {"value": 1.0, "error": relative, "table": 0.0}[part]
         log_u = polynomial.polyval(energy, exponent) - order * np.log(alpha)

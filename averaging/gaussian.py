@@ -156,7 +156,7 @@ def state_rows(observable: Observable, n: int) -> list[int]:
 
 
 def gamma_sum(scales: Array, shape: float, errors: Array, x: Array) -> tuple[Array, Array]:
-    """Return the density of Σ λ_j G_j at ``x`` of any shape, and an estimate of its error.
+    """Return the density of Σ λ_j G_j at ``x`` of any shape, and its estimated absolute error.
 
     G_j are independent gamma variables of the given ``shape`` and scale 1, λ_j >= 0 the ``scales``
     (k,), whose errors are ``errors`` (k,). The density is the inverse Laplace transform of

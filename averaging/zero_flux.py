@@ -26,10 +26,11 @@ answer. The difference of the two is the stated error."""
 
 @dataclass(frozen=True, eq=False)
 class ZeroFluxDensity:
-    """Density p = T u of one energy given by ln u, Eq. (11); 0 outside the nodes.
+    """Density p = T u of one energy given by ln u, Eq. (11).
 
-    p is smooth between ``nodes``. ``log_u`` and ``relative_error`` (of u) map energies > 0 of any
-    shape to arrays of that shape; ``measured`` holds the errors and checks of p.
+    p is smooth between ``nodes``; it is 0 below 0 and above the last node, but not between 0 and
+    the first node. ``log_u`` and ``relative_error`` (of u) map energies > 0 of any shape to arrays
+    of that shape; ``measured`` holds the errors and checks of p.
     """
 
     process: Process
@@ -49,13 +50,13 @@ class ZeroFluxDensity:
         return self.measured.l1_error
 
     def log_density(self, energy: Array) -> Array:
-        """Return ln p at ``energy`` of any shape, −∞ outside the nodes."""
+        """Return ln p at ``energy`` of any shape, −∞ below 0 and above the last node."""
         safe, positive = self._on_mesh(energy)
         log_states = self.process.coefficients(safe.ravel()).log_density_of_states
         return np.where(positive, self.log_u(safe) + log_states.reshape(safe.shape), -np.inf)
 
     def density(self, energy: Array) -> Array:
-        """Return p at ``energy`` of any shape, 0 outside the nodes."""
+        """Return p at ``energy`` of any shape, 0 below 0 and above the last node."""
         return np.asarray(np.exp(self.log_density(energy)))
 
     def pointwise_error(self, energy: Array) -> Array:

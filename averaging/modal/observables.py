@@ -166,7 +166,7 @@ def _sum_density(observable: Observable, *parts: Density, share: float, tol: flo
     t, w = panel_rule(np.array([0.0, 1.0]), CONVOLUTION_POINTS)
 
     def along(energy: Array) -> Array:
-        """Return ∫p(x, H − x) dx, 0 < x < H, and its error at ``energy`` H (points,).
+        """Return ∫p(x, H − x) dx, 0 < x < H, and its error, (points, 2), at ``energy`` H.
 
         Panels end where x or H − x is a panel node.
         """
@@ -330,7 +330,8 @@ def state_density(
 def combine_measured(parts: Sequence[Density], added: float = 0.0) -> Measured:
     """Return errors and checks of a density that depends on all of the independent ``parts``.
 
-    ``added`` is the L1 error of computing it from them, which adds to their L1 errors.
+    ``added`` is the L1 error of computing it from them. L1 errors, mass defects and tail masses are
+    added up, residual and net flux are the largest, failures are of all parts, minimum is None.
     """
     checks = [part.certificate for part in parts]
     return Measured(

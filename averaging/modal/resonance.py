@@ -25,9 +25,9 @@ MAX_CANDIDATES = 500
 def require_no_resonance(system: System, modes: ModalAnalysis) -> None:
     """Raise ``NotApplicable`` if a resonance forbids to average over the phases of the modes.
 
-    With constant damping the criterion is the neglected correlation of two modes. With damping
-    terms it is the oscillation of H_m by 2 A/detuning, relative to θ_m, that a power of amplitude A
-    and phase Σ l_i φ_i into mode m causes. Both may be up to ``MAX_NEGLECTED``.
+    The neglected correlation of two modes may be up to ``MAX_NEGLECTED``. With damping terms this
+    holds also for the oscillation of H_m by 2 A/detuning, relative to θ_m, that a power of
+    amplitude A and phase Σ l_i φ_i into mode m causes.
     """
     correlation = correlations(modes)
     i, j = np.unravel_index(np.argmax(correlation), correlation.shape)

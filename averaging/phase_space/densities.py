@@ -163,7 +163,7 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
 
 
 def _sides(e: Expansion) -> list[tuple[str, float, float]]:
-    """Return (name, left side, right side) of each identity."""
+    """Return (name, left side, right side) of each identity, named by the left side's formula."""
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
     n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)

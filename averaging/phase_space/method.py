@@ -175,7 +175,7 @@ class PhaseSpace(Theory):
 
     @answer
     def relaxation(self, asked: Asked) -> Rates:
-        """Return the ``asked.count`` slowest eigenvalues of −L, L the expanded FPK operator."""
+        """Return the ``asked.count`` slowest eigenvalues λ of −L, L the FPK operator; Im λ >= 0."""
         require_held(asked.system)
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
@@ -247,7 +247,7 @@ class PhaseSpace(Theory):
         """Return the frame of ``system``.
 
         Raises ``NotApplicable`` for more than ``MOST_EXPANSION_MASSES`` masses, stops on several of
-        them, and damping terms whose equations exceed memory or work.
+        them, no damping or no noise, and damping terms whose equations exceed memory or work.
         """
         if system.n > MOST_EXPANSION_MASSES:
             most = f"the expansion is for {2 * MOST_EXPANSION_MASSES} at the most"

@@ -73,7 +73,7 @@ def shell_averages(system: System, energy: Array) -> ShellAverages:
 
     (10) reduces to ∫(H − V_red)^(n − c/2 − 1) dq_c over the c contact masses, times polynomials for
     the power. For one contact mass it is evaluated at each energy, for two interpolated in tables;
-    for more it follows from the partition function of the chain.
+    if ``by_lines`` it follows from the partition function of the chain.
     """
     values, errors = np.swapaxes(shell_columns(system, energy), 0, 1)
     powers = energy[:, None] ** (1.0 + 0.5 * system.fact(parts_of).degrees)
@@ -142,7 +142,8 @@ def _integrals(system: System, energy: Array) -> tuple[Array, Array]:
     Both are (energies, 3 + 2 degrees): T, phase volume, H T', then for each degree T g_d + 2 b,
     where b bounds |T g_d|, so that the sum is positive, then the b. All are sums over directions of
     integrals along rays. The error of H T' is relative to the larger of H T' and T. Rules are
-    refined until errors are below ``TARGET``, of the power below ``POWER_TARGETS``.
+    refined until errors are below ``TARGET``, of the power with one contact mass below
+    ``POWER_TARGETS``, or ``RAY_RULES`` end; an error that is NaN is returned as ∞.
     """
     shell, parts = system.fact(EnergyShell), system.fact(parts_of)
     n, c = system.n, len(system.contact_masses)

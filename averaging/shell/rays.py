@@ -90,7 +90,7 @@ class EnergyShell:
 
     @cached_property
     def sides(self) -> Stops:
-        """The stops of one contact mass: row 0 to the right, row 1 to the left unless equal."""
+        """The stops of one contact mass: row 0 on the right, row 1 on the left, absent if equal."""
         alike = self.system.fact(looks_the_same_mirrored)
         return self.nearest(np.array([[1.0]] if alike else [[1.0], [-1.0]]))
 

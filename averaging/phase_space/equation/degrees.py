@@ -59,7 +59,7 @@ class Degrees:
         """Return the number, odd, of polynomials on a panel between stops.
 
         ``width`` is the panel's in standard deviations of the weight without stops; ``beyond`` says
-        that a stop is touched on it. The number rises with ``outer``, up to ``outer`` + 1, so that
+        that a stop is touched on it. The number rises with ``outer``, up to ``outer`` + 2, so that
         distances of successive solutions contain the error on this panel.
         """
         count = 6.0 + (0.12 * width + 0.25 * beyond) * self.outer
@@ -92,7 +92,8 @@ def next_degrees(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution after ``degrees``.
 
     For two masses ``rise`` is added to ``others``, for three at most 1. With damping terms it has
-    no effect: all degrees rise by a factor, since errors oscillate with the degree.
+    no effect: ``total`` rises by a quarter (one mass: 0.4) and gives the others, since errors
+    oscillate with the degree.
     """
     n, d = frame.n, degrees
     if frame.system.damping_terms:

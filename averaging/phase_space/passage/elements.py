@@ -32,7 +32,10 @@ third longer."""
 
 
 def factorise_sparse(matrix: csc_array) -> Any:
-    """Return SuperLU factors of ``matrix``; raise ``NotCertified`` if elimination breaks down."""
+    """Return SuperLU factors of ``matrix``; raise ``NotCertified`` if elimination breaks down.
+
+    They are by the first of ``PIVOTS`` that meets ``LARGEST_RESIDUAL``, else by the last.
+    """
     right = matrix @ np.ones(matrix.shape[0])
     symmetric: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
     for pivot in PIVOTS:
@@ -123,14 +126,14 @@ class Elements:
 
     @cached_property
     def shifted(self) -> tuple[float, Any]:
-        """σ, about four times the frequency (two to eight serve as well), factors of K + σM."""
+        """σ, four times the frequency or less under strong damping, and the factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
         sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
         return sigma, factorise_sparse(csc_array(self.K + sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
-        """Return the defect of the mass at a random time, exponential with mean 1/σ.
+        """Return the absolute defect of the mass at a random time, exponential with mean 1/σ.
 
         The density then is σ (K + σM)⁻ᵀ ``start``; the mass within the limit and the mass that has
         left should add up to the mass of ``start``.

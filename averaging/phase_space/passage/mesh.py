@@ -36,7 +36,7 @@ class Oscillator:
     ``mass`` m, ``damping`` c, ``noise`` D. ``potential`` V has its only minimum, 0, at q = 0;
     ``force`` is V'; ``even``: V(−q) = V(q). ``stops`` are (q, side) at which V' is not smooth, side
     −1 or 1 if V' is a fractional power of the overlap on that side, else 0. ``frequency`` is the
-    angular frequency of small oscillations between the stops.
+    angular frequency of small oscillations between the stops, 0 without a linear force.
     """
 
     mass: float
