@@ -39,7 +39,7 @@ class Conditional:
     """Potential of q_mass (0-based) given other displacements q_k: ½ a (q − Σ w_k q_k)² + U(q).
 
     ``precision`` a is the stiffness of the springs to the nearest of the given masses, ``weights``
-    w (given masses,) the effect of each on the mean.
+    w (given masses,) the effect of each on the mean, 0 unless it is the nearest on its side.
     """
 
     system: System

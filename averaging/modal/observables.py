@@ -56,11 +56,11 @@ def coupling_refusal(modes: ModalAnalysis, solver: str) -> str | None:
 def modal_densities(
     modes: ModalAnalysis, observables: Sequence[Observable], solver: str, *, tol: float
 ) -> tuple[Density, ...]:
-    """Return the densities of ``observables``: modal energies, their sum, displacements, momenta.
+    """Return the densities of ``observables`` in order: modal energies or their sum, or q and p.
 
     Each group of modes is solved to a share of the L1 tolerance ``tol`` such that an observable
     that depends on all groups meets it. With constant damping and ``solver`` "closed-form"
-    displacements and momenta are Gaussian.
+    displacements, momenta and the sum H follow from the Gaussian state.
     """
     closed, groups = modes.constant and solver == "closed-form", modes.averaged.groups
     energies, behind = list[bool](), list[list[Group]]()

@@ -41,8 +41,8 @@ MOST_EXPANSION_MASSES = 3
 UNASKED_MASSES = 2
 """Largest number of masses for which the method is used without being named: three take minutes."""
 UNASKED_WORK = 6.6e11
-"""Largest number of multiplications of a solution without being named: with the coarser solutions
-about 12 s on one core."""
+"""Largest number of operations (``solution_cost``) of a solution without being named: with the
+coarser solutions about 12 s on one core."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
 """Default tolerances, relative to ``Question.scale``, of rates to each rate; spectra and rates
 converge most slowly."""

@@ -20,8 +20,8 @@ from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import EPS, Array, Complexes
 
 BLOCK = 4
-"""Random vectors of the first block; an eigenvalue of higher multiplicity is found this often
-only."""
+"""Number of random vectors that a space begins with; an eigenvalue of higher multiplicity occurs
+this often only among the computed eigenvalues."""
 SAME_RATE = 1e-6
 """Relative difference below which two eigenvalues count as a multiple eigenvalue."""
 OVERLAP = 0.9
@@ -80,7 +80,7 @@ def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array
 
 
 def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
-    """Return c·(iω − A)⁻¹ b at ascending frequencies ω >= 0, ``at``, and the residual over |u|.
+    """Return c·(iω − A)⁻¹ b at ascending ω >= 0, ``at``, and the largest residual over |u|.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the equation
     (1 + (iω − s) B) u = B b is solved in the Krylov space of B and B b by Galerkin's method. Raises
@@ -119,7 +119,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 def decays(
     A: Chain, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
 ) -> tuple[Array, float]:
-    """Return C(t) = c·e^(At) b and C'/``rate`` at the lags t of ``at``, (2, lags), and their error.
+    """Return C(t) = c·e^(At) b and C'/``rate`` at the lags ``at``, (2, lags), and the error of C.
 
     The Krylov space of b and (s − A)⁻¹, s = ``rate``, in which A is s − H⁻¹, grows until the last
     two changes of C, by ``EVERY`` vectors each, are within ``tol`` C(0), or it has ``VECTORS``

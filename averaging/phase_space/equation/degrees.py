@@ -49,7 +49,7 @@ class Degrees:
     def beyond(self, level: int, others: int) -> int:
         """Return the number of polynomials beyond a stop at |k| = ``level``.
 
-        ``others`` is the degree in the other masses. Levels 2m and 2m + 1 have equal numbers, as
+        ``others`` is Σ (j + k), see ``Space``. Levels 2m and 2m + 1 have equal numbers, as
         the functions of the second are derivatives of the functions of the first.
         """
         alone = max(self.outer - level // 2 * 2, int(LEAST * self.outer))
