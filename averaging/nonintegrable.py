@@ -197,9 +197,7 @@ def square_root(system: System, solver: str) -> SquareRoot:
     ``solver`` is not "closed-form".
     """
     if solver != "closed-form":
-        raise NotApplicable(
-            "quadrature gives stationary densities only; in time, use fem or closed-form"
-        )
+        raise NotApplicable(f"{solver} gives stationary densities only; use fem or closed-form")
     if system.contacts or system.damping_terms:
         what = "contacts" if system.contacts else "damping terms"
         raise NotApplicable(f"the system has {what}: in time there is no closed form; use fem")

@@ -216,6 +216,7 @@ PASSAGES = [
     (FEM, FREE, "H=1000", "rest", (), InvalidInput, "beyond the range"),
     (FEM, FREE, "H=1", "rest", [-1.0], InvalidInput, "0 or later"),
     (CLOSED, FREE, "H=1", "noise=2", (), NotApplicable, "use fem"),
+    (NonIntegrable("scikit-fem"), FREE, "H=1", "rest", (), NotApplicable, "^scikit-fem gives"),
     (FEM, replace(FREE, noise_intensity=[0, 0]), "H=1", "rest", (), NotApplicable, "no noise"),
     (CLOSED, FADING, "H=1", "rest", [1.0], NotApplicable, "modulated"),
     (MODES, FADING, "H1=1", "rest", [1.0], NotApplicable, "modulated"),
