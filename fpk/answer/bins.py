@@ -26,7 +26,7 @@ from fpk.numeric.quadrature import panel_rule
 LogReference = Callable[[Array, Integers], Array]
 """Function ln r + constant, such as −U/kT, of values x and their bin numbers, in their shape."""
 Bins = tuple[int, ...]
-"""One bin number for each axis."""
+"""One bin number, from 0, for each axis."""
 
 BIN_POINTS = 3
 """Gauss points along a bin: relative error 1e-4 of its content if ln p changes by 2 within it."""
@@ -37,9 +37,10 @@ TESTED_DEGREES = {1: 3, 2: 2}
 """Number of highest total degrees whose coefficients must be consistent with 0, by the number of
 coordinates."""
 PER_COEFFICIENT = 30
-"""Smallest number of independent samples for each coefficient: its error is then about 20 %."""
+"""Least number of independent samples per coefficient: the rms relative error of p is then 18 %."""
 PER_BATCH = 10
-"""Independent samples in a batch above which the mean of all batches is nearly normal."""
+"""Independent samples in a batch (of a fit: per coefficient) above which the mean of all batches
+counts as normal."""
 STEPS, HALVINGS, CONVERGED = 60, 10, 1e-4
 """Largest numbers of Newton steps and of halvings of each step; (distance of θ from the maximum of
 the likelihood / sampling error of θ)² at which the iteration ends."""
@@ -109,7 +110,8 @@ class Box:
     ``theta`` (coefficients,) is θ, empty if the box has no samples: p is 0 there. ``deviations``
     (batches, coefficients) are the θ of single batches less ``theta``; ``covariance``
     (coefficients, coefficients) is the covariance of θ if samples are independent. ``chance`` is
-    the p-value of the observed misfit, 0 if ln p changes by more than ``STEEPEST`` from bin to bin.
+    the p-value of the observed misfit: 1 without samples, 0 if ln p changes by more than
+    ``STEEPEST`` from a bin of more than ``PER_COEFFICIENT`` samples to its neighbour.
     """
 
     first: Bins
@@ -154,7 +156,7 @@ def boxes(
 
     ``shares`` (*bins) are the fractions of all samples in each bin, ``batch_shares`` (batches,
     *bins) the fractions of the samples of each batch; ``samples`` is the number of independent
-    samples in all bins. Without ``halve`` there is one box between any two kinks.
+    samples in all bins. Without ``halve`` there is one box between neighbouring kinks.
     """
 
     def parts(first: Bins, last: Bins, *, halved: bool) -> Iterator[Box]:
@@ -174,7 +176,7 @@ def boxes(
 
 
 def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
-    """Return the ends (first, last) of the two halves of ``box``, or nothing if it is too small.
+    """Return the ends (first, last) of the two halves of ``box``; no halves if it is too small.
 
     The cut is as near to the middle as leaves each half enough samples and bins for all
     coefficients, across the axis that fits worst of those that can be cut. ``shares`` (*bins of the
@@ -264,7 +266,8 @@ class Model:
         return np.asarray(split.sum(axis=tuple(range(1, split.ndim, 2)))).ravel()
 
     def spread(self, theta: Array) -> Array:
-        """Return weight · p for ``theta`` at Gauss points, (bins, ``BIN_POINTS``) for each axis."""
+        """Return weight · p at Gauss points for ``theta``: (bins, ``BIN_POINTS``), for two axes
+        (bins, ``BIN_POINTS``, bins, ``BIN_POINTS``)."""
         size = self.vander[0].shape[-1]
         square = np.zeros((size,) * len(self.shape))
         square[tuple(self.powers)] = theta
@@ -314,10 +317,11 @@ class Model:
 
 
 def _chance_of_highest(box: Box, alone: int | None = None) -> float:
-    """Return the p-value, by Hotelling's T², of 0 for the coefficients of the highest degrees.
+    """Return the p-value of 0 for the coefficients of the highest degrees.
 
-    ``TESTED_DEGREES`` has the number of total degrees. With ``alone``, an axis from 0, only
-    polynomials of this axis are tested. The result is 1 if there is nothing to test.
+    The test is Hotelling's T², or χ² with ``box.covariance`` if batches are few. ``TESTED_DEGREES``
+    has the number of total degrees; the constant is not tested. With ``alone``, an axis from 0,
+    only polynomials of this axis are tested. The result is 1 if there is nothing to test.
     """
     total = box.degrees.sum(axis=0)
     highest = total > max(0, int(total.max(initial=0)) - TESTED_DEGREES[len(box.first)])
@@ -341,7 +345,7 @@ def _chance_of_misfit(residuals: Array, counts: Array) -> float:
 
     ``residuals`` (batches, *bins) are summed in blocks of 1, 2, 4, … bins along each axis; the
     least p-value is multiplied by the number of blocks. ``counts`` (*bins) are the numbers of
-    independent samples; blocks with few are left out. The result is 1 if none remain.
+    independent samples; blocks of at most ``PER_BATCH`` a batch are left out: 1 if all are.
     """
     least, count, batches, size = 1.0, 0, len(residuals), 1
     while 4 * size <= max(counts.shape):

@@ -35,13 +35,14 @@ def tolerance(tol: float | None, default: Default) -> float | Default:
 class Measured:
     """Numbers measured on an answer; None if a number does not apply.
 
-    ``l1_error`` estimates ∫|p − p_exact|, all errors included. ``mass_defect`` is |∫p − 1| over the
-    support, without tails; ``minimum`` is min p / max p; ``residual`` is the residual of the
-    equation relative to its largest term (for sampling: the largest |z| of the moment identities,
-    or NaN); ``tail_mass`` is a bound (for sampling: the share) of the mass outside the support;
-    ``net_flux`` is the largest probability flux through an element, relative to its one-way parts;
-    ``absolute_error`` is the largest stated error of p over max p, within which p may be negative;
-    ``failures`` are further failed checks, in words.
+    ``l1_error`` estimates ∫|p − p_exact|, all errors included; for answers other than densities it
+    is the error compared with the tolerance. ``mass_defect`` is |∫p − 1| over the support, without
+    tails; ``minimum`` is min p / max p; ``residual`` is the residual of the equation relative to
+    its largest term (for sampling: the largest |z| of the moment identities, or NaN); ``tail_mass``
+    is a bound (for sampling: the share) of the mass outside the support; ``net_flux`` is the
+    largest probability flux through an element, relative to its one-way parts; ``absolute_error``
+    is the largest stated error of p over max p, within which p may be negative; ``failures`` are
+    further failed checks, in words.
     """
 
     l1_error: float
@@ -79,7 +80,7 @@ class Certificate(Measured):
 
     @property
     def record(self) -> dict[str, Any]:
-        """All fields but ``l1_error`` and ``absolute_error``, and ``certified``, by their names."""
+        """``certified`` and all fields but ``l1_error`` and ``absolute_error``, by their names."""
         own = {k: x for k, x in vars(self).items() if k not in ("l1_error", "absolute_error")}
         return own | {"certified": self.certified}
 
@@ -90,13 +91,14 @@ class Certificate(Measured):
 
 
 def largest_measured(values: Iterable[float | None]) -> float | None:
-    """Return the largest of ``values`` that are not None, NaN if one is NaN; None without any."""
+    """Return the largest of ``values`` except None; NaN if any is NaN, None if all are None."""
     given = [x for x in values if x is not None]
     return float(np.max(given)) if given else None
 
 
 def fail_nan(answer: Any) -> None:
-    """Add a failure to ``answer.certificate``, in place, if a value or an error is NaN."""
+    """Replace ``answer.certificate`` by a copy with another failure if ``answer.values`` or
+    ``answer.errors`` contain NaN."""
     if missing := int(np.isnan(answer.values).sum() + np.isnan(answer.errors).sum()):
         words = f"{missing} of the values and errors are not numbers"
         object.__setattr__(answer, "certificate", answer.certificate.with_failures(words))
@@ -105,10 +107,10 @@ def fail_nan(answer: Any) -> None:
 def certify(measured: Measured, *, tol: float, sampled: bool = False) -> Certificate:
     """Return the certificate of an answer, by comparing ``measured`` numbers to their limits.
 
-    Failures are p below 0 by more than its stated error, an L1 error above ``tol``, an infinite
-    tail, a mass defect above the L1 error, and a residual or net flux above ``ROUND_OFF``.
-    ``tol`` is the tolerance of the L1 error, infinite if there is none. Mass and residual of a
-    ``sampled`` answer are not checked here: its residual is a |z|. A number that is NaN fails its
+    ``measured.failures`` stay. Further failures are p below 0 by more than its stated error, an L1
+    error above ``tol``, an infinite tail, a mass defect above the L1 error, and a residual or net
+    flux not below ``ROUND_OFF``. ``tol`` is infinite if there is no tolerance. Mass and residual of
+    a ``sampled`` answer are not checked here: its residual is a |z|. A number that is NaN fails its
     check; a number that is None is not checked. Raises nothing.
     """
     m, failures = measured, list(measured.failures)

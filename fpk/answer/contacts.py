@@ -55,7 +55,7 @@ def contact_quantities(stop: Contact, displacement: Quantities) -> Mapping[str, 
     ``displacement`` is the density of the displacement of the stop's mass. "contact probability":
     P(overlap > 0), the share of time in contact; "mean overlap" and "mean force": expectations over
     all time, 0 without contact (force as in Eq. (2)); "overlap in contact" and "force in contact":
-    expectations over the time in contact. ::
+    expectations over the time in contact, NaN ± ∞ unless the probability exceeds its error. ::
 
         q2 = fpk.solve(system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         contact_quantities(system.stops[0], q2)["mean force"]

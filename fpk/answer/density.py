@@ -33,7 +33,8 @@ class Density(Quantities):
     returns the density, ``pointwise`` the estimate of its error there. Outside the support the
     density is 0, or the negligible tail of a closed form. ``l1_error`` estimates ∫|p − p_exact|,
     the mass outside the support included. ``source(observables)`` solves again and returns a
-    ``Result``; the density can be pickled only if it has a source. ::
+    ``Result``; the density can be pickled only if it has a source. ``provenance`` are the settings
+    of the method, for readers. ::
 
         p = fpk.solve(fpk.load("fig6a").system, ["q2"], methods=["nonintegrable/fem"])["q2"]
         value, error = p.at(np.linspace(-1.5, 1.5, 31))
@@ -77,8 +78,8 @@ class Density(Quantities):
         return np.asarray(self.pdf(*(np.asarray(x, dtype=float) for x in points)))
 
     def at(self, *points: Array) -> tuple[Array, Array]:
-        """Return the density and the estimate of its absolute error at ``points``, one array per
-        axis, which broadcast. Raises ``InvalidInput`` for another number of arrays."""
+        """Return the density, as a call does, and the estimate of its absolute error at ``points``,
+        arrays that broadcast. Raises ``InvalidInput`` unless there is one array per axis."""
         require_one_array_an_axis(self.observable, points)
         return self.pdf(*points), self.pointwise(*points)
 
@@ -96,7 +97,7 @@ class Density(Quantities):
         return values
 
     def expectation(self, function: Function, *, kinks: Sequence[float] = ()) -> Number:
-        """Return E f(X) and its error, made of the error of p weighted by |f| and of the tails.
+        """Return E f(X) and its error, by the error of p weighted by |f|, quadrature and the tails.
         ``function`` takes one array per axis and is smooth except at ``kinks``, which raise
         ``InvalidInput`` for two axes."""
         panels = (self._axis(kinks),) if kinks else self.panels
@@ -132,7 +133,7 @@ class Density(Quantities):
         return Number(value, located + unlocated + beyond_ends + rounding)
 
     def share(self, low: float, high: float) -> float:
-        """Return P(``low`` < X <= ``high``) without its error, in half of the time."""
+        """Return P(``low`` < X <= ``high``) without its error, twice as fast as ``probability``."""
         return float(self._share(low, high, rows=1)[0])
 
     def _share(self, low: float, high: float, *, rows: int = 3) -> Array:
@@ -233,9 +234,10 @@ def l1_distance(a: AnyDensity, b: AnyDensity) -> float:
 def distance_with_error(a: AnyDensity, b: AnyDensity) -> tuple[float, float]:
     """Return ∫|p_a − p_b| and the error of its quadrature; errors of p_a and p_b are not included.
 
-    A function is compared with a histogram by its averages over the bins: a sum without quadrature
-    error. Panels end where functions of one coordinate cross; for two coordinates the error covers
-    such kinks. Raises ``ValueError`` for different observables, or histograms on different bins.
+    A function is compared with a histogram by its averages over the bins, and the outside as one
+    more bin: a sum, whose error is 0. Panels end where functions of one coordinate cross; for two
+    coordinates the error covers such kinks. Raises ``ValueError`` for different observables, or
+    histograms on different bins.
     """
     if a.observable != b.observable:
         raise ValueError(f"densities of {a.name} and of {b.name} cannot be compared")

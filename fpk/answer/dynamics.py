@@ -146,8 +146,8 @@ def upcrossings(joint: AnyDensity, mass: float, at: Array) -> tuple[Array, Array
 
 
 def require_times(times: Array, *, positive: bool = False) -> Array:
-    """Return ``times``; raise ``InvalidInput`` unless they are finite, strictly ascending and >= 0,
-    or > 0 if ``positive``."""
+    """Return ``times``, empty or not; raise ``InvalidInput`` unless they are finite, strictly
+    ascending and >= 0, or > 0 if ``positive``."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
     if positive and times.size and times[0] == 0.0:
@@ -212,7 +212,8 @@ class Passage:
     failure_error: Array | None = None
 
     def __post_init__(self) -> None:
-        """If a ``survival_error`` exceeds ``LARGEST_ERROR`` or is NaN, let the certificate fail."""
+        """If a ``survival_error`` exceeds ``LARGEST_ERROR`` or is NaN, add a failure to the
+        certificate, unless it has failures already."""
         unknown = np.flatnonzero(~(self.survival_error <= LARGEST_ERROR))
         if unknown.size and self.certificate.certified:
             k = unknown[0]

@@ -94,8 +94,8 @@ class Method(ABC):
         """Return the method at its next finer level of discretisation."""
 
     def unasked(self, system: System, *, share: float = 1.0) -> Self:
-        """Return the method as used if it was not named: itself. A slow method limits its work
-        to ``share`` of the usual limit, or raises ``NotApplicable`` for ``system``."""
+        """Return the method to use if no user named it: itself. A slow method returns a copy whose
+        work is limited, to ``share`` of a fixed amount, or raises ``NotApplicable``."""
         return self
 
     def refusal(self, system: System, observable: Observable) -> str | None:
@@ -117,10 +117,11 @@ class Method(ABC):
     ) -> Result:
         """Return the densities of ``observables``, and of ``beside`` if they take little more work.
 
-        The densities get the settings of the result and, if they are functions, a ``source`` that
-        solves for them again. ``plan`` is the plan of the method, if the caller has it already;
-        then refusals are not checked. ``progress`` is called as the work advances. Raises
-        ``NotApplicable`` if the method refuses, ``InvalidInput`` for names not parsed. ::
+        The latter are in ``Result.beside``, without refused observables. Densities get the settings
+        of the result as ``provenance`` and, if they are functions, a ``source`` that solves for
+        them again. ``plan`` is the plan of the method, if the caller has it already; then refusals
+        are not checked. ``progress`` is called as the work advances. Raises ``NotApplicable`` if
+        the method refuses, ``InvalidInput`` for names not parsed. ::
 
             answer = NonIntegrable().solve(system, [parse_observable("q2", system.n)])
             (p,) = answer.densities

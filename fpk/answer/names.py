@@ -86,8 +86,8 @@ def displacement_row(observable: Observable) -> int:
 
 
 def require_observables(observables: Sequence[Any]) -> None:
-    """Raise ``InvalidInput`` unless all are tuples of ``Coordinate``, as ``parse_observable``
-    returns: a name such as "q2" is refused."""
+    """Raise ``InvalidInput`` unless all are tuples of one or two ``Coordinate``, as
+    ``parse_observable`` returns: a name such as "q2" is refused."""
     for observable in observables:
         parsed = isinstance(observable, tuple) and len(observable) in (1, 2)
         if not parsed or not all(isinstance(c, Coordinate) for c in observable):

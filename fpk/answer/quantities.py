@@ -121,7 +121,7 @@ class Quantities(ABC):
         return self._of_moments(lambda m: m[3], pair=True)
 
     def correlation(self) -> Number:
-        """Return the covariance over both standard deviations, within its error from −1 to 1."""
+        """Return the covariance over both standard deviations: −1 to 1, but for its error."""
         return self._of_moments(lambda m: m[3] / np.sqrt(m[2] * m[4]), pair=True)
 
     def cdf(self, x: float) -> Number:
@@ -129,7 +129,7 @@ class Quantities(ABC):
         return self._probability(-inf, _real_number("x", x))
 
     def exceedance(self, x: float) -> Number:
-        """Return P(X > ``x``), accurate to relative digits also if small; raise as ``cdf`` does."""
+        """Return P(X > ``x``), not 1 − P(X <= x): small values keep digits; raise as ``cdf``."""
         return self._probability(_real_number("x", x), inf)
 
     def quantile(self, p: float) -> Number:
@@ -245,9 +245,10 @@ def field_of(densities: Mapping[str, Any]) -> tuple[Any, float]:
 
     The mesh covers the smallest box with all points at which the first density is at least
     ``FIELD_CUT`` of its maximum, and is refined where this density bends. ``point_data`` has
-    ``density``, the first, and ``log10 density``, NaN if it is not positive; for every route its
-    density, its stated error, and the first density minus its density. The interpolation error of
-    the first density, in its unit, is measured at the middles between the nodes.
+    "density", the first, and "log10 density", NaN if it is not positive; for every route,
+    its name with spaces for "/", "<route>", its density, "error of <route>", the stated error, and,
+    except for the first, "<first> - <route>", the difference. The interpolation error of the first
+    density, in its unit, is measured at the middles between the nodes.
     """
     import meshio  # noqa: PLC0415  (0.1 s)
 

@@ -32,7 +32,8 @@ Fits = tuple[tuple[BinAxis, ...], tuple[Box, ...]]
 
 
 def standard_error(batches: Array) -> Array:
-    """Return one standard error (...) of the mean of independent ``batches`` (batches, ...)."""
+    """Return one standard error (...) of the mean of two or more independent ``batches``
+    (batches, ...)."""
     return np.asarray(np.std(batches, axis=0, ddof=1) / np.sqrt(batches.shape[0]))
 
 
@@ -193,9 +194,9 @@ class SampledDensity(Quantities):
 
         The error follows from the spread of the batches. If fewer visits than batches are expected,
         it is at least the error of Poisson counts. The share ``visit`` over the size of a cell is
-        added. It is infinite in a first bin that begins at a kink. At other kinks the side with the
-        smaller error is used. Outside the bins the density is 0, with the error at the nearest
-        point inside. Raises ``InvalidInput`` for another number of arrays than axes.
+        added in squares. The error is infinite in a first bin that begins at a kink. At other kinks
+        the side with the smaller error is used. Outside the bins the density is 0, with the error
+        at the nearest point inside. Raises ``InvalidInput`` unless there is one array per axis.
         """
         require_one_array_an_axis(self.observable, points)
         batches = len(self.batch_values)

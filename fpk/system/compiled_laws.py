@@ -46,8 +46,9 @@ def compile_laws(names: tuple[str, ...], part: str) -> CompiledLaws:
 def law_files(names: Sequence[str], root: Path = ROOT) -> tuple[Path, ...]:
     """Return the source files on which code compiled with the laws ``names`` depends.
 
-    Files of this program are taken below ``root``, files of users from where they are. A law typed
-    into an interactive session has no file and is left out.
+    The first two belong to this program; then comes the file of the force of each law. Files of
+    this program are taken below ``root``, files of users from where they are. A law typed into an
+    interactive session has no file and is left out.
     """
     laws = (Path(getfile(LAWS[name].force)) for name in names)
     own = (root / f.relative_to(ROOT) if f.is_relative_to(ROOT) else f for f in laws)

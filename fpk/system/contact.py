@@ -25,8 +25,9 @@ class Contact:
     with + for a stop on the right.
 
     ``mass`` counts from 1; ``side`` is the side of the mass on which the stop stands; ``stiffness``
-    is B of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 is the distance from rest to
-    the stop. The law "power" needs an ``exponent``; a law with its own refuses any other.
+    is B > 0 of Eq. (2), in force / length**exponent; ``clearance`` δ >= 0 is the distance from rest
+    to the stop. The law "power" needs an ``exponent``, from 1 to ``MAX_EXPONENT``; a law with its
+    own refuses any other.
 
     A Hertzian stop, and one whose force grows with the square of the overlap::
 
@@ -106,7 +107,8 @@ class Contact:
         return self.stiffness * LAWS[self.law].slope(overlap, self.power)
 
     def overlap_at(self, energy: float) -> float:
-        """Return the overlap at a contact ``energy`` > 0, relative error 1e-5; 0 for power laws."""
+        """Return the overlap at a contact ``energy`` > 0, to round-off for power laws, else with a
+        relative error of about 1e-5."""
         high = 1.0
         while self.energy(high) < energy:
             high *= 2.0

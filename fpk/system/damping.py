@@ -25,7 +25,8 @@ class DampingTerm:
     ``c_ij += coefficient · Π q_a^m · Π v_a^n · H^energy`` adds the force ``−coefficient · … · v_j``
     on mass i and none on mass j, which takes a second term. ``i``, ``j`` and the masses in the
     pairs (mass, power) of ``q`` and ``v`` count from 1; powers are integers >= 1; ``energy`` >= 0.
-    A negative coefficient feeds energy in, as in van der Pol's oscillator.
+    ``degree`` is the sum of the powers plus 2 ``energy``, at most ``MOST_POWERS``. A negative
+    coefficient feeds energy in, as in van der Pol's oscillator.
 
     Van der Pol's oscillator, c = −0.1 + 0.4 q²::
 

@@ -30,8 +30,11 @@ energy near 1e-16 of its scale that another damps at 1e16 of its own: a ratio of
 
 @dataclass(frozen=True)
 class BoundaryClass:
-    """Feller class ``kind`` of an ``end`` such as "H1 = 0", with the ``reason`` in words. ``kind``
-    may also be "not classified" or, for an end ∞ with outward drift, "not confining"."""
+    """Feller class ``kind`` of an ``end`` such as "H1 = 0" or "H = ∞", and the ``reason`` in words.
+
+    At 0 the ``kind`` is "exit", "regular", "entrance" or "not classified", at ∞ "natural",
+    "entrance" or, if the drift points outwards, "not confining".
+    """
 
     end: str
     kind: str
@@ -95,8 +98,9 @@ def require_falling(energy: Array, c: Coefficients, slope: Array) -> None:
     """Raise ``NotCertified`` if p(H) H of one energy rises at the highest ``energy``.
 
     ``energy`` (points,) ascend, with coefficients ``c`` and ``slope`` d ln p/dH there. p has a
-    finite integral if the rate d ln(p H)/d ln H = 1 + H slope is negative at the end by more than
-    its error. A rise before the end would show in the mass beyond the mesh.
+    finite integral if the rate d ln(p H)/d ln H = 1 + H slope is negative at the end; a rate that
+    does not exceed its error, or is NaN, is accepted. A rise before the end would show in the mass
+    beyond the mesh.
     """
     if energy[-1] * slope[-1] < -1.0:
         return

@@ -149,7 +149,7 @@ def _last_root(x: Array, share: Array) -> float:
 
 
 def _polynomial_balance(system: System, constant: float, noise: float) -> Balance:
-    """``damping_balance`` without stops: the mean dissipated power is a polynomial in θ.
+    """``damping_balance`` without stops or without damping terms: the power is a polynomial in θ.
 
     ``constant`` is Σ c_ii/m_i of constant damping, ``noise`` is Σ (f D fᵀ)_ii/m_i.
     """
@@ -209,9 +209,9 @@ def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
 
     ``theta`` is the temperature. The weights sum to the partition function over its value without
     stops. Along the chain each contact mass is Gaussian about the previous, with the variance θ
-    times the flexibility in between, and is cut off at its stops. With five or more contact masses
-    ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as otherwise few points carry
-    all of the weight.
+    times the flexibility in between, and ends where a stop has the energy ``DEPTH`` θ. With five or
+    more contact masses ``RESAMPLED_POINTS`` are drawn by their weights after each mass, as
+    otherwise few points carry all of the weight.
     """
     masses, reach = system.contact_masses, sqrt(2.0 * DEPTH)
     on_grid = [points for points in (64, 32, 16) if points ** len(masses) <= MAX_GRID_POINTS]

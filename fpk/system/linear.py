@@ -44,10 +44,11 @@ def displacements_given(system: System, masses: Sequence[int]) -> tuple[Array, A
     """Return w (n, c) and Σ (n, n) of q = w q_c + ξ, ξ ~ N(0, θ Σ), q_c the given displacements.
 
     It is the Gibbs state of temperature θ without contacts, conditioned on the displacements of
-    ``masses``, c ascending numbers from 0. Between two of them the chain is a Brownian bridge: the
-    covariance of two masses is a b/s, with the flexibilities a from the lower given mass to the
-    nearer of the two, b from the farther of the two to the upper given mass, and s between both
-    given masses. Beyond the last given mass it is a. Nothing cancels, for any ratio of springs.
+    ``masses``, c ascending numbers from 0; the wall is given, too, at 0. Between two given masses
+    the chain is a Brownian bridge: the covariance of two masses is a b/s, with the flexibilities a
+    from the lower given mass to the nearer of the two, b from the farther of the two to the upper
+    given mass, and s between both given masses. Beyond the last given mass it is a, and 0 between
+    masses that a given mass separates. Nothing cancels, for any ratio of springs.
     """
     n, flexibility = system.n, 1.0 / system.stiffness
     weights, covariance = np.zeros((n, len(masses))), np.zeros((n, n))
@@ -158,8 +159,8 @@ def linear_covariance(system: System) -> LinearCovariance:
 
 
 def stationary_covariance(system: System) -> Array:
-    """Return the covariance (2n, 2n) of (q, p) without contacts, for any damping and noise. Raises
-    ``NotApplicable`` as ``linear_covariance`` does."""
+    """Return the covariance (2n, 2n) of (q, p) without contacts, for full matrices of damping and
+    noise. Raises ``NotApplicable`` as ``linear_covariance`` does."""
     modal = system.fact(linear_covariance)
     back = block_diag(modal.shapes / modal.omega, system.mass[:, None] * modal.shapes)
     covariance = back @ modal.covariance @ back.T

@@ -55,8 +55,8 @@ class Process:
     state_damping: bool = False
 
     def at(self, energies: Array) -> Coefficients:
-        """Return drift (points, d), diffusion (points, d, d), divergence (points, d) and their
-        error at ``energies`` (points, d), also if d = 1."""
+        """Return drift (points, d), diffusion (points, d, d), divergence (points, d) and the
+        relative error at ``energies`` (points, d), also if d = 1: the other fields are NaN then."""
         if self.dimension > 1:
             return self.coefficients(energies)
         c = self.coefficients(energies[:, 0])
@@ -64,8 +64,8 @@ class Process:
         return Coefficients(s, b, divergence, relative_error=c.relative_error)
 
     def on_mesh(self, energy: Array, last: float) -> tuple[Array, Flags]:
-        """Return ``energy``, of any shape, clipped to (0, ``last``], and flags that p is not 0. It
-        is 0 outside [0, ``last``], and at H = 0 for more than one degree of freedom."""
+        """Return ``energy``, of any shape, clipped to (0, ``last``], and flags that p is not 0. The
+        density p is 0 outside [0, ``last``], and at H = 0 for several degrees of freedom."""
         least = max(ZERO_ENERGY * last, SMALLEST)
         above = energy >= 0.0 if self.degrees_of_freedom == 1 else energy > 0.0
         return np.clip(energy, least, last), above & (energy <= last)

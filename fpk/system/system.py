@@ -33,7 +33,8 @@ class System:
     to the constant matrix, a term with the coefficient 0 is dropped.
     ``modulation`` e(t) multiplies the noise intensity by e² in motions that begin at time 0;
     stationary states and the methods that solve for them ignore it.
-    All arrays are read-only, in float64 and full matrix form.
+    ``noise_matrix`` is f D fᵀ, ``stiffness_matrix`` K, (n, n) each. All arrays are read-only, in
+    float64 and full matrix form.
 
     Two masses, the second between stops (Fig. 6(a))::
 
@@ -157,7 +158,7 @@ class System:
         return {**self.__dict__, "_facts": {}}
 
     def contact_energy(self, mass: int, q: ArrayLike) -> Array:
-        """Contact energy U_i, Eq. (5), of ``mass`` i, from 0, at displacements ``q``, any shape."""
+        """Contact energy, Eq. (5), of ``mass``, from 0, at its displacements ``q`` of any shape."""
         q = np.asarray(q, dtype=float)
         energy = np.zeros_like(q)
         for stop in self.stops:
