@@ -179,8 +179,9 @@ def _halves(box: Box, shares: Array, samples: float) -> list[tuple[Bins, Bins]]:
     """Return the ends (first, last) of the two halves of ``box``; no halves if it is too small.
 
     The cut is as near to the middle as leaves each half enough samples and bins for all
-    coefficients, across the axis that fits worst of those that can be cut. ``shares`` (*bins of the
-    box) are fractions of all samples, ``samples`` is the number of independent samples in all bins.
+    coefficients, across the axis with the worst fit among the axes that can be cut. ``shares``
+    (*bins of the box) are fractions of all samples, ``samples`` is the number of independent
+    samples in all bins.
     """
     axes, bins = range(shares.ndim), MAX_FIT_DEGREE + 4  # more than coefficients: a misfit shows
     needed = PER_COEFFICIENT * comb(MAX_FIT_DEGREE + shares.ndim, shares.ndim) / samples

@@ -121,7 +121,7 @@ class Density(Quantities):
 
         As the total mass is 1, the error is at most the pointwise error integrated inside, and at
         most the pointwise error integrated outside the interval. The rest of the L1 error, at least
-        |1 − mass|, and the tail mass beyond the support are added.
+        |1 − mass|, is added, and the tail mass for each end of the interval outside the support.
         """
         value, error, rounding = (float(x) for x in self._share(low, high))
         of_all = float(self._panel_shares[1].sum())

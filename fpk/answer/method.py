@@ -39,7 +39,7 @@ class Result:
     """Answer of one method: a density for each observable requested, and how it was obtained.
 
     ``seconds`` is wall time; ``identities`` check the answer; ``settings`` are for readers only;
-    ``neglected`` names effects that the method leaves out; ``partial``: the work was interrupted;
+    ``neglected`` names effects left out, "" for none; ``partial``: the work was interrupted;
     ``report`` is the report of a simulation; ``beside`` are densities of further observables.
     """
 

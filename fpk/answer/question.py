@@ -123,7 +123,7 @@ def answer(function: Callable[[Any, Asked], Answer]) -> Callable[..., Answer]:
     The question has the name of ``function``; its arguments follow the system, then ``tol`` and
     ``progress`` by keyword. Before the call ``InvalidInput`` is raised unless ``tol`` is > 0 or
     None; for a curve of one displacement also for another observable or points without an answer,
-    and ``NotApplicable`` if the method refuses the observable.
+    and ``NotApplicable`` if the method refuses the system or the observable.
     """
     question, given = QUESTIONS[function.__name__], Parameter.POSITIONAL_OR_KEYWORD
     parameters = [Parameter(name, given) for name in ("self", "system", *question.takes)]

@@ -20,7 +20,7 @@ class CompiledLaws(types.Type):
     """Numba type for one ``part`` ("force", "energy" or "slope") of the contact laws ``names``.
 
     Compiled code evaluates it by ``of_law``. The value is its own type and plain data, so that a
-    kernel that closes over it is found again in the disk cache. ``stamps``, fingerprints of the
+    kernel that closes over it is reused from the disk cache. ``stamps``, fingerprints of the
     laws, distinguish different laws of one name.
     """
 

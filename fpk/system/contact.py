@@ -36,6 +36,7 @@ class Contact:
         fpk.Contact(1, "left", 10.0, 0.5, law="power", exponent=2.0)
 
     Raises ``InvalidInput`` with the name of the field that cannot be used.
+    ``System`` refuses a mass that it does not have.
     """
 
     mass: int

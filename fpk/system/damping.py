@@ -14,7 +14,7 @@ from fpk.numeric.errors import require
 Powers = tuple[tuple[int, int], ...]
 
 MOST_POWERS = 8
-"""Highest degree of a term, an energy counting twice: averages of higher ones lose digits, and
+"""Highest degree of a term, an energy counting twice: averages of higher degrees lose digits, and
 explicit steps their stability."""
 
 
@@ -35,6 +35,7 @@ class DampingTerm:
         term.value(q=[0.5], v=[0.0], energy=0.125)
 
     Raises ``InvalidInput`` with the name of the field that cannot be used.
+    ``System`` refuses masses that it does not have.
     """
 
     i: int
