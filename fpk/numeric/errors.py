@@ -16,7 +16,7 @@ class InvalidInput(ValueError):
     """
 
     def __init__(self, key: str, value: Any, remedy: str) -> None:
-        """Store the name ``key`` of the value, the ``value`` and the ``remedy``."""
+        """Store the name ``key``, the ``value`` and the ``remedy``; the text joins the three."""
         self.key, self.value, self.remedy = key, value, remedy
         super().__init__(f"{key} = {one_line_repr(value)}: {remedy}")
 
@@ -58,7 +58,8 @@ def require(fits: Any, key: str, value: Any, remedy: str) -> None:
 
 
 def one_line_repr(value: Any, *, width: int = 60) -> str:
-    """Return the repr of ``value`` on one line, cut to ``width`` characters, for messages."""
+    """Return the repr of ``value`` on one line, cut to ``width`` characters, for messages. The last
+    of them is "…" if it was cut; an array is shown as a list, a path as a string."""
     value = str(value) if isinstance(value, PurePath) else value
     text = repr(value.tolist() if hasattr(value, "tolist") else value).replace("\n", " ")
     return text if len(text) <= width else text[: width - 1] + "…"

@@ -64,8 +64,8 @@ class Piecewise:
 
     ``nodes`` (panels + 1,) ascend; ``coefficients`` (panels, degree + 1, ...) have the shape of a
     value behind the first two axes; ``log_scale`` (panels,) lets a density span more than the range
-    of double precision. Outside the nodes f is ``outside``. ``error`` (panels,), set by ``fit``, is
-    the estimated largest error of the series on each panel, without the scale.
+    of double precision. Outside the nodes f is ``outside``. ``error`` (panels,) is the estimated
+    largest error of the series on each panel, without the scale; only ``fit`` sets it.
     """
 
     nodes: Array
@@ -76,7 +76,7 @@ class Piecewise:
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
         """Return f(x) exp(``log_factor``), of the shape of ``x`` followed by the shape of a value.
-        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is returned without it."""
+        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is without it, also at NaN."""
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
@@ -89,8 +89,8 @@ class Piecewise:
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":
-        """Return ∫f from the first node to x as a function of x, ``outside`` beyond the nodes.
-        Raises ``AssertionError`` if f has a ``log_scale``."""
+        """Return ∫f from the first node to x as a function of x. On both sides outside the nodes it
+        is the ``outside`` of f. Raises ``AssertionError`` if f has a ``log_scale``."""
         assert self.log_scale is None, "panels with scales have no common antiderivative"
         within = np.asarray(legendre.legint(self.coefficients, axis=1, lbnd=-1), float)
         within *= 0.5 * np.diff(self.nodes).reshape(-1, *(1,) * (within.ndim - 1))
@@ -110,12 +110,12 @@ def fit(
 ) -> Piecewise:
     """Return the interpolant of ``f`` by polynomials of ``degree`` on panels between ``nodes``.
 
-    ``f`` maps points (points,) to values (points, ...) and is called once in each round, for all
-    new panels. A panel whose absolute error exceeds ``tol`` is split at ``cut(left, right)``, by
-    default at its middle, in at most ``rounds`` rounds (2^−60 of a length is below round-off);
-    ``Piecewise.error`` states the error reached, which may exceed ``tol``. The error (panels,) is
-    ``estimate(lengths, coefficients)``, by default ``degree`` times the sum of the sizes of the
-    last two coefficients, of the largest component of a value.
+    ``f`` maps points (points,) to values (points, ...) and is called once for the given panels and
+    once in each round for all new panels. A panel whose absolute error exceeds ``tol`` is split at
+    ``cut(left, right)``, by default at its middle, in at most ``rounds`` rounds (2^−60 of a length
+    is below round-off); ``Piecewise.error`` states the error reached, which may exceed ``tol``. The
+    error (panels,) is ``estimate(lengths, coefficients)``, by default ``degree`` times the sum of
+    the sizes of the last two coefficients, of the largest component of a value.
     """
     middle = cut or (lambda left, right: 0.5 * (left + right))
 
@@ -167,8 +167,8 @@ def projection(degree: int) -> Array:
 class PiecewiseTensor:
     """``f(x, y) = Σ_ij coefficients_klij P_i(s) P_j(t)`` on the rectangle of panels k and l.
 
-    ``nodes`` ascend along each axis; ``coefficients`` (panels, panels, degree + 1, degree + 1).
-    Outside the nodes f is 0.
+    s and t go from −1 to 1 over them. ``nodes`` ascend along each axis, x first; ``coefficients``
+    are (panels, panels, degree + 1, degree + 1). Outside the nodes f is 0.
     """
 
     nodes: tuple[Array, Array]

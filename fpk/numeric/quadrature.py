@@ -24,7 +24,7 @@ def gauss_legendre(points: int) -> tuple[Array, Array]:
 
 
 def panel_rule(nodes: Array, points: int) -> tuple[Array, Array]:
-    """Return Gauss points, weights (panels, ``points``) on panels between ascending ``nodes``."""
+    """Return Gauss points and weights, (panels, ``points``) each, between ascending ``nodes``."""
     x, w = gauss_legendre(points)
     half = 0.5 * np.diff(nodes)[:, None]
     middle = 0.5 * (nodes[1:] + nodes[:-1])[:, None]

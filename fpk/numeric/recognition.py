@@ -18,21 +18,24 @@ import numpy as np
 from fpk.numeric.errors import InvalidInput
 
 REGISTRY = "registry"
-"""Metadata key of a field whose value names an entry of a registry: the entry is compared."""
+"""Key in the metadata of a dataclass field that contains a name: the value there is a registry, a
+mapping, and the registry's entry of this name is compared, not the name."""
 
 
 def fingerprint(value: Any, less: Container[str] = ()) -> str:
-    """Return the SHA-256 of ``canonical(value, less)`` in hexadecimal digits."""
+    """Return the SHA-256 of ``canonical(value, less)`` in hexadecimal digits; raises as it does."""
     return sha256(json.dumps(canonical(value, less)).encode()).hexdigest()
 
 
 def canonical(value: Any, less: Container[str] = ()) -> Any:
     """Return ``value`` as JSON data with every digit and field that a result may depend on.
 
-    A dataclass contributes its init fields, except the names "Class.field" in ``less``, at any
-    depth. A function contributes its code, defaults, closure, and the numbers, strings and arrays
-    among its globals, but only the names of the functions it calls. Equal values may give different
-    data: 1 is not 1.0. Raises ``InvalidInput`` for an object of any other kind.
+    A dataclass contributes its name and its init fields, except the names "Class.field" in
+    ``less``, at any depth. A function contributes its name, code, defaults, closure, and the
+    numbers, strings and arrays among the globals it uses, but only the names of the functions it
+    calls. Equal values may give different data: 1 is not 1.0. Raises ``InvalidInput`` for an object
+    of any kind but these, JSON values, arrays, mappings, sets, bytes, paths, complex numbers,
+    types, methods, NumPy's ufuncs, partial functions and the ellipsis.
     """
     return json.loads(json.dumps(value, default=partial(_json_value, less)))
 

@@ -110,6 +110,7 @@ def null_vectors(process: Process, nodes: Array, degree: int, points: int) -> tu
 
     u are Legendre coefficients (elements, ``degree`` + 1) between ``nodes``; ``points`` is the
     number of Gauss points of an element. The residual is the residual of the global equations.
+    Raises as ``stationary_vector`` does.
     """
     basis = element_basis((nodes,), degree, points)
     y, log_scale, residual = stationary_vector(process, basis, flux_form=True)
@@ -127,7 +128,7 @@ def plane_null_function(
     """Return p of two energies up to a factor on a tensor mesh, and its relative residual.
 
     Elements of ``degree`` between ``nodes`` have ``points`` Gauss points along each axis; the
-    ``weight`` is not used.
+    ``weight`` is not used. Raises as ``stationary_vector`` does.
     """
     basis = element_basis(nodes, degree, points)
     y, _, residual = stationary_vector(process, basis)
@@ -148,7 +149,7 @@ def solve_by_scikit_fem(
     the first mesh is the mesh of the fast solver, and all its elements are halved. For two energies
     it is equidistant in √H; for ``marked`` see ``solve_by_elements``. An answer that misses the
     tolerance is returned with a failed certificate. Raises ``NotCertified`` if no stationary
-    density exists.
+    density exists, and as ``stationary_vector`` and ``solve_by_elements`` do.
     """
     if process.dimension == 2:
         require_confined(process)

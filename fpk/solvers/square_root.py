@@ -80,7 +80,7 @@ class SquareRoot:
 
         From the energy ``start`` (``noise`` None) H is θ_t/2 times a noncentral χ² of 2n degrees.
         From the stationary state under ``noise`` times d it has a gamma density; ``start`` is 0.
-        Raises ``InvalidInput`` if no noise has acted before one of the times.
+        Raises ``InvalidInput`` if, from an energy, no noise has acted before one of the times.
         """
         each = times.tolist()
         values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
@@ -90,7 +90,7 @@ class SquareRoot:
 
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
         """Return the density at time ``t`` and energies ``H`` of any shape, and its absolute error,
-        of the same shape; both are 0 for H < 0. For ``start`` and ``noise`` see ``transient``."""
+        of the same shape; both are 0 for H < 0. For ``start`` and ``noise`` see ``scales``."""
         theta, left = self.scales(start, noise, t)
         x, y = np.maximum(H, 0.0) / theta, left / theta
         log_p, log_error = noncentral(self.n, x, y)
@@ -111,10 +111,10 @@ class SquareRoot:
         return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
-        """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``).
+        """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``) (``noise`` None).
 
         From a stationary state under ``noise`` times d the latter is 0 and θ_t contains the initial
-        temperature. Raises ``InvalidInput`` if no noise has acted before ``t``.
+        temperature. Raises ``InvalidInput`` if, from an energy, no noise has acted before ``t``.
         """
         left, theta = exp(-self.c * t), self.d / self.c
         grown = -theta * expm1(-self.c * t)
@@ -247,7 +247,7 @@ class SquareRoot:
 
 
 def noncentral(n: int, x: Array, y: float) -> tuple[Array, Array]:
-    """Return ln p and its absolute error, p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)).
+    """Return ln p and the absolute error of ln p: p = e^(−x−y) (x/y)^((n−1)/2) I_(n−1)(2 √(xy)).
 
     p is the density of half a noncentral χ² of 2n degrees, ``n`` >= 1, and noncentrality 2 ``y`` at
     ``x`` >= 0, of any shape.
@@ -295,8 +295,8 @@ def log_kummer_ratio(a: Complexes, n: int, low: float, high: float) -> tuple[Com
     """Return ln(1F1(a; ``n``; ``low``)/1F1(a; n; ``high``)) at ``a`` (points,), and its error.
 
     0 < low < high. It is −∫ 1F1'/1F1 dx by Gauss's continued fraction, DLMF (13.5.1), in which
-    nothing cancels for a away from the negative axis. The absolute error is inf for |a| <
-    ``LEAST_SIZE`` and if more than ``MOST_TERMS`` terms are needed.
+    nothing cancels for a away from the negative axis. For |a| < ``LEAST_SIZE``, and if more than
+    ``MOST_TERMS`` terms are needed, 0 is returned with the absolute error inf.
     """
     nodes = [low]
     while nodes[-1] < high:  # zeros of 1F1 have angles above a radian, or imaginary parts of π

@@ -99,7 +99,7 @@ def null_vector(matrix: csc_array, vertices: Integers) -> tuple[Array, float]:
 def null_function(
     process: Process, nodes: Nodes, degree: int, points: int, weight: Weight
 ) -> tuple[PiecewiseTensor, float]:
-    """Return u of the unscaled stationary density p = w u, and the relative residual.
+    """Return u of the stationary density p = w u, up to a factor, and the relative residual.
 
     u has the ``degree`` along each axis between ``nodes``; w is the ``weight``; ``points`` is the
     number of Gauss points of an element along each axis. Raises as ``null_vector`` does.

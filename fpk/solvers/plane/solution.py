@@ -24,7 +24,8 @@ class PlaneSolution:
 
     The error estimate compares the piecewise polynomial u with ``enriched``, of a higher degree.
     ``beyond`` (2,) is the mass beyond each far edge; it and the error of ∫p add up to
-    ``relative_error``, an error of p everywhere.
+    ``relative_error``, a relative error of p everywhere. From ``detailed_balance`` u and
+    ``enriched`` are the same constant, and ``relative_error`` contains the bound for ln p, too.
     """
 
     process: Process
@@ -74,7 +75,8 @@ class PlaneSolution:
         return self.u(H1, H2) * self.weight(H1, H2)
 
     def far_ends(self, rise: float) -> Array:
-        """Return the energies (2,) beyond which −ln w exceeds ``rise``; the last nodes if w = 1."""
+        """Return the energies (2,) beyond which −ln w exceeds ``rise``; the last nodes if w = 1.
+        Raises as ``Weight.ends`` does."""
         if self.weight.plain:
             return np.array([x[-1] for x in self.nodes])
         return np.array(self.weight.ends(rise))
@@ -97,7 +99,8 @@ class PlaneSolution:
         return (x, y), maximum_filter(distance, 4 * HALF_WAVE + 1, mode="nearest")
 
     def pointwise_error(self, H1: Array, H2: Array) -> Array:
-        """Return the estimate of |p_h − p| at ``H1`` and ``H2`` that broadcast."""
+        """Return the estimate of |p_h − p| at ``H1`` and ``H2`` that broadcast; outside the nodes
+        √w times the error of √w u at the nearest edge."""
         x, y = np.asarray(H1, float), np.asarray(H2, float)
         grid, error = self._around
         at = zip(grid, (x, y), strict=True)
@@ -126,7 +129,8 @@ def tails(p: Array, grids: list[tuple[Array, Array]], points: int) -> tuple[Arra
 
     ``p`` is given on the ``grids``, Gauss points and weights of each axis. From its fall over the
     last ``points`` of each axis the marginal is continued with half of its logarithmic slope, as
-    this may decrease. If the marginal does not fall, the mass is infinite, the e-folding energy 0.
+    this may decrease. If the marginal does not fall, the mass is infinite and the e-folding energy
+    0; if it falls to 0, both are 0.
     """
     beyond, e_fold = np.zeros(2), np.zeros(2)
     (x, v), (y, w) = grids

@@ -75,8 +75,9 @@ def detailed_balance(process: Process, weight: Weight, *, tol: float) -> PlaneSo
 
     The error of ln p is bounded by the integral along each axis of the difference between ∇ ln w
     and b⁻¹ (2s − ∇·b), without the factor p: behind a barrier a small slope error moves mass from
-    one side to the other. Returns None if this bound exceeds half of the tolerance, or if w varies
-    too fast for 24 panels along each axis.
+    one side to the other. Returns None if twice this bound exceeds half of the tolerance, if w does
+    not fall off, or if it varies too fast for 24 panels along each axis. w is taken without its
+    floor. Raises ``NotCertified`` if b is singular at a quadrature point.
     """
     weight = replace(weight, floor=0.0)
     try:
@@ -126,7 +127,8 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
     """Yield solutions with more unknowns and better weights, as long as these lower the error.
 
     ``weight`` is the first weight, ``tol`` the L1 tolerance. Ends after two solutions in a row with
-    more than 0.3 of the least error, after the last of ``RUNGS``, or if a weight does not fall off.
+    more than 0.3 of the least error, after the last of ``RUNGS``, or if a weight does not fall off;
+    a certified solution does not end it. Raises as ``solve_plane_on_mesh`` does.
     """
     rung, least, stalled, best = 0, np.inf, 0, weight
     rise = weights.negligible_rise(tol)
@@ -158,8 +160,8 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
 def next_rung(rung: int, missing: float, *, most: int) -> int:
     """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance.
 
-    It follows from the missing digits, is at most ``most`` higher, and skips no rung beyond the
-    highest degree on four panels.
+    It follows from the missing digits, is 1 to ``most`` higher, and skips no rung beyond the
+    highest degree on four panels. After the last rung it is len(``RUNGS``).
     """
     digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
     gain = ceil(min(digits / DIGITS_PER_RUNG, most))
@@ -168,7 +170,8 @@ def next_rung(rung: int, missing: float, *, most: int) -> int:
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
-    """Return a weight fitted to −ln p of ``solution``, or None if no fit is much better.
+    """Return a weight fitted to −ln p of ``solution``; None if no fit is accepted by ``fit_weight``
+    or too few digits of p are known for a fit.
 
     The fit uses points at which the relative error of p is below ``LARGEST_ERROR``: with the error
     ε √p of p these have p > (ε/LARGEST_ERROR)² of its maximum.
@@ -207,7 +210,8 @@ def solve_by_elements(
     up to the ends of the ``weight``. Intervals whose highest modes exceed ``marked`` times the
     largest are halved, and one interval is added at an edge with mass beyond, until the answer is
     certified or the next mesh has too many matrix entries. ``solved`` replaces ``null_function``.
-    Raises ``NotCertified`` if the first mesh has too many entries, or the weight does not fall off.
+    Raises ``NotCertified`` if the first mesh has too many entries or the weight does not fall off,
+    and as ``solve_plane_on_mesh`` does.
     """
     if degree is None:  # 1.6 degrees for each digit are the cheapest in fig8b
         degree = int(np.clip(round(-1.6 * np.log10(tol)), 4, 18))

@@ -47,7 +47,8 @@ long as u ≥ −1e5."""
 class Weight:
     """w = exp(−Φ) + ``floor`` with Φ = Σ ``coefficients``[i, j] (H1/a)^i (H2/b)^j.
 
-    a, b = ``scales``. The smallest Φ on the fitted box is 0. ``H1``, ``H2`` broadcast everywhere.
+    a, b = ``scales`` are the ends of the fitted box, on which the smallest Φ is 0. ``H1``, ``H2``
+    broadcast everywhere.
     """
 
     coefficients: Array
@@ -83,8 +84,8 @@ class Weight:
         return sizes.exponent(np.abs(H1), np.abs(H2))
 
     def ends(self, rise: float) -> tuple[float, float]:
-        """Return the energies (H1, H2) beyond which Φ > ``rise``. Raises ``NotCertified`` if Φ is
-        smaller at the end of ``RAYS``."""
+        """Return the ends (H1, H2) of a box outside which Φ >= ``rise`` > 0 on a grid of ``RAYS``.
+        Raises ``NotCertified`` if Φ is smaller at a far edge of this grid."""
         inside = polygrid2d(RAYS, RAYS, self.coefficients) < rise
         if inside[-1].any() or inside[:, -1].any():
             raise NotCertified(f"the weight falls by less than exp(−{rise:.0f})")
@@ -100,7 +101,8 @@ def negligible_rise(tol: float, height: float = 0.0, level: int = 0) -> float:
     """Return −ln w at the ends of a mesh, beyond which p is negligible for the L1 ``tol``.
 
     It is ``height`` − ln(``EDGE_WEIGHT`` · ``tol``) + ``level`` · ``RISE``: ``height`` is −ln w at
-    the start, ``level`` the number of refinements.
+    a start or limit inside the mesh, ``level`` the number of refinements. −ln w is measured from
+    its minimum, 0.
     """
     return height - float(np.log(EDGE_WEIGHT * tol)) + level * RISE
 

@@ -103,7 +103,7 @@ def plane_first_passage(
     ``_hopeless``. The part of an initial density beyond the limit has failed at time 0.
     ``coefficients_error`` is the relative error of the coefficients. Raises ``InvalidInput`` for a
     limit whose mean time is beyond double precision, or that takes too many unknowns, and for an
-    initial density too narrow for the mesh.
+    initial density too narrow for the mesh; raises as ``PlaneSolution.far_ends`` does.
     """
     height = start.height(stationary)
     far = stationary.far_ends(negligible_rise(tol, height))
@@ -213,11 +213,12 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
 def relaxation_rates(
     stationary: PlaneSolution, count: int, *, tol: float, relative: float = 0.0
 ) -> Rates:
-    """Return the ``count`` nonzero eigenvalues of −L with the smallest real parts, Im λ >= 0.
+    """Return the ``count`` nonzero eigenvalues of −L with the smallest real parts, ascending.
 
-    L and the weight are taken from ``stationary``. Meshes are refined until two levels agree to
-    ``tol``, relative to each rate; ``relative`` is the relative error of the coefficients. Raises
-    ``NotCertified`` if fewer than two levels have more unknowns than Arnoldi vectors.
+    Each conjugate pair counts once, with Im λ > 0. L and the weight are taken from ``stationary``.
+    Meshes are refined until two levels agree to ``tol``, relative to each rate; ``relative`` is the
+    relative error of the coefficients. Raises ``NotCertified`` if fewer than two levels have more
+    unknowns than Arnoldi vectors.
     """
     # A rate of the order of the slowest: the smaller b/H² of the energies at their scales.
     scales = np.array(stationary.process.energy_scales)

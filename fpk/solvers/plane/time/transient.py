@@ -68,7 +68,9 @@ def krylov_exponential(
     """Return g = e^(t M⁻¹A) M⁻¹ ``dual`` at ascending ``times`` > 0, to ``tol`` of √∫ w g².
 
     ``dual`` (unknowns,) is E φ of the initial density. The eigenvalues of (M − γA)⁻¹ M give the
-    rates with the error round-off/γ, which is small for the slow rates of large times.
+    rates with the error round-off/γ, which is small for the slow rates of large times. If
+    ``MAX_KRYLOV`` dimensions miss ``tol``, ``change`` says by how much. Raises ``NotCertified`` if
+    M or M − γA is singular.
     """
     start = lu_factors(M).solve(dual)
     residuals, parts, first = [relative_residual(M, abs(M), start, dual)], [], 0
@@ -140,7 +142,8 @@ def marginal_at(
     """Return densities (times, ...) of unknowns ``g`` (times, unknowns) of ``op`` at ``at``.
 
     ``observed`` are the axes of the density: both, one, or none for the sum of the energies. ``at``
-    has an array (points,) of energies for each, or for both also the axes (m, 1), (1, n) of a grid.
+    has an array (points,) for each of them, one for the sum, or for both also the axes (m, 1),
+    (1, n) of a grid. Densities are 0 outside the mesh.
     """
     if len(observed) == 1:
         y, v = (a.ravel() for a in panel_rule(op.nodes[1 - observed[0]], op.points))
@@ -169,8 +172,9 @@ def marginal_at(
 def marginal_grid(
     op: PlaneOperator, observed: tuple[int, ...]
 ) -> tuple[Sequence[Array], Array, list[float]]:
-    """Return a grid of the ``observed`` energies, its quadrature weights (points,), and the energy
-    at which the mesh ends along each axis. For ``observed`` see ``marginal_at``."""
+    """Return a grid of the ``observed`` energies, its quadrature weights, flattened (points,), and
+    the last energies of the mesh along the observed axes, or their sum for the sum. The grid is an
+    ``at`` of ``marginal_at``, of axes if both are ``observed``."""
     ends = [float(x[-1]) for x in op.nodes]
     if not observed:  # panels equidistant in √H
         x, w = panel_rule(root_spaced_nodes((sum(ends), 1.0), 12)[0], 8)
@@ -195,8 +199,8 @@ def transient_densities(
     They begin with ``start``; process and weight are taken from ``stationary``. For ``observed``
     and ``at`` see ``marginal_at``. Meshes are refined until two levels agree to ``tol``, in L1 and
     in units of the largest density; their distance is the error. A time too short for the finest
-    level is not certified. ``coefficients_error(t, *at)`` is the relative error of p by the
-    coefficients. Also returned are the last two levels.
+    level is not certified, and has infinite errors. ``coefficients_error(t, *at)`` is the relative
+    error of p by the coefficients. Also returned are the last two levels, the coarser first.
     """
     for coarse, fine in pairwise(_levels(stationary, start, times, tol)):
         (op, g), (other_op, other_g) = fine, coarse
