@@ -88,7 +88,7 @@ def solve(
     are names ("exact"), names with a solver ("nonintegrable/fem") or ``Method`` records; left out,
     every route is taken that applies to the system and does not sample, slow routes within bounds
     and if they gain something; a simulation is run if it is named ("montecarlo"). ``tol`` is the L1
-    tolerance of the methods named by strings.
+    tolerance of all methods except ``Method`` records, which have their own.
 
     Energy averaging, Eq. (11), by finite elements::
 

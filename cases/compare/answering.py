@@ -47,12 +47,13 @@ def replies_of(
     *,
     tol: float | None = None,
 ) -> Replies:
-    """Return the answers of all ``methods`` that can answer ``question``.
+    """Return the answers of all ``methods`` that can answer ``question``; others are ignored.
 
     ``attempts`` must have no refusals yet; refusals and notes are added to it. ``tol``: tolerance
-    of solvers, None: their defaults. Simulations of a first passage run until the last time.
-    Splitting replaces the simulation of the full system if no answer of the full system is
-    certified; a simulation that would see few failures by an earlier answer is not run.
+    of solvers that do not sample, None, or if ``attempts`` relax: their defaults. Simulations of a
+    first passage run until the last time. Splitting replaces the simulation of the full system if
+    no answer of the full system is certified; a simulation that would see few failures by an
+    earlier answer is not run.
     """
     attempts, names = attempts or Attempts(), (question.name,)
     budget = attempts.budget

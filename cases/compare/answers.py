@@ -58,7 +58,7 @@ class Answers(Mapping[Any, AnyDensity]):
 
     @property
     def refusals(self) -> dict[str, str]:
-        """The reason why a method does not give all observables, by the label of the method."""
+        """Why a method does not give all observables, the last of its reasons, by its label."""
         return {refusal.route.label: refusal.reason for refusal in self.refused}
 
     @property
@@ -91,7 +91,7 @@ class Answers(Mapping[Any, AnyDensity]):
         return dict(sorted(pairs, key=lambda pair: (pair[0].sampled, pair[0].solves != "full")))
 
     def of(self, observable: str) -> dict[str, AnyDensity]:
-        """Return all densities of ``observable`` by the label of the method."""
+        """Return the densities of ``observable`` by the label of the method, empty without any."""
         densities = self.densities(parse_observable(observable, self.system.n))
         return {route.label: density for route, density in densities.items()}
 
@@ -113,7 +113,7 @@ class Answers(Mapping[Any, AnyDensity]):
         raise KeyError(f"say by which method, as in answers[{observable!r}, ...]: {labels}")
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """Iterate over the pairs (observable, method)."""
+        """Iterate over the pairs (name of the observable, label of the method)."""
         return ((d.name, r.method.route.label) for r in self.results for d in r.densities)
 
     def __len__(self) -> int:

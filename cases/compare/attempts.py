@@ -44,15 +44,16 @@ class Budget:
     _routes: int = 1
 
     def begin(self, routes: int) -> None:
-        """Give the next question its share of the remaining time, for up to ``routes`` routes."""
+        """Give the next question its share for ``routes`` routes; subtract 1 from ``questions``."""
         self._own, self._routes = (self.seconds or 0.0) / max(1, self.questions), routes
         self.questions -= 1
 
     def spend(self, method: Any, work: Callable[[Any], Answer]) -> Answer:
         """Return ``work(method)``; a simulation gets its share of the time as ``seconds``.
 
-        The time that it takes is subtracted. The share is never below 1 ms: a simulation that
-        starts late then says that its time did not suffice.
+        The time that it takes is subtracted, also if it raises; nothing is changed without a bound.
+        The share is never below 1 ms: a simulation that starts late then says that its time did not
+        suffice.
         """
         if self.seconds is None or not method.route.sampled:
             return work(method)
@@ -67,7 +68,7 @@ class Budget:
 
 
 def budget_of(methods: Sequence[Any], questions: int) -> Budget:
-    """Return the budget for ``questions``: the largest ``seconds`` of a simulation, if any."""
+    """Return the budget for ``questions``: the largest ``seconds`` of a simulation, or None."""
     given = [m.seconds for m in methods if m.route.sampled and getattr(m, "seconds", None)]
     return Budget(max(given, default=None), questions)
 

@@ -92,8 +92,10 @@ class AveragedSimulation(Method):
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of an energy by simulation in steps of ``step`` and of half it.
 
-        ``tol``, the relative error wanted of the mean, makes more of the ``paths`` where needed.
-        A state begins at its energies, H of the integrable theory anywhere on H1 + H2 + … = H.
+        ``tol``, the relative error wanted of the mean, by default that of the method, makes more of
+        the ``paths`` where needed. Raises ``NotApplicable`` for limits of displacements, and for
+        limits of modal energies by energy averaging. A state begins at its energies, H of the
+        integrable theory anywhere on H1 + H2 + … = H.
         """
         from sim.questions.averaged.paths import energy_passage
 

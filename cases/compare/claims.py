@@ -33,7 +33,10 @@ that exceeds this or ``ALMOST_L1`` is non-Gaussian."""
 
 @dataclass(frozen=True)
 class Finding:
-    """One claim on one curve, or on two neighbours: the measured numbers and the verdict."""
+    """One claim on one curve, or on two neighbours, the measured numbers in words, and the verdict.
+
+    It is "holds", "does not hold", "undecided" within the errors, or "not checked" without answers.
+    """
 
     claim: str
     curve: str
@@ -108,7 +111,7 @@ def _clearance_rule(curve: Answers, rule: float, distance: tuple[float, float] |
     """Return the finding that modal averaging is acceptable if all clearances exceed ``rule`` rms.
 
     If one does not, the finding is on the converse: not acceptable. ``distance`` is its L1 distance
-    to the full system and the error; None: not checked.
+    to the full system and the error; None, no stop or an unknown rms: not checked.
     """
     stops = curve.system.fact(stop_clearances)
     ratios = [stop.ratio for stop in stops if stop.ratio is not None]
@@ -148,7 +151,7 @@ def shape_of(density: AnyDensity) -> Shape:
 
 
 def _reference(curve: Answers, of: Observable) -> AnyDensity | None:
-    """Return the full system's density of least L1 error, a certified density first, if any."""
+    """Return the full system's density of least L1 error, certified if any is; None without any."""
     full = (d for route, d in curve.densities(of).items() if route.solves == "full")
     return min(full, key=lambda d: (not d.certificate.certified, d.l1_error), default=None)
 
@@ -181,7 +184,7 @@ def _distance(curve: Answers, of: Observable, name: str) -> tuple[float, float] 
 
 
 def time_findings(curves: Sequence[Answers]) -> Iterator[Finding]:
-    """Yield the finding on every claim of a [[passage]], for every curve."""
+    """Yield the finding on every claim of a [[passage]], undecided within two errors, by curve."""
     for curve in curves:
         for replies in curve.passages:
             question = replies.question

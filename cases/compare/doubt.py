@@ -28,12 +28,14 @@ REPORTED_TAILS = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2
 
 
 def tails_off(densities: Mapping[Route, AnyDensity]) -> Iterator[dict[str, Any]]:
-    """Yield the tail of each averaged theory that is off by more than ``TAIL_FACTOR``.
+    """Yield the tail of each averaged theory that, less its error, is off by ``TAIL_FACTOR``.
 
-    ``densities``: of one coordinate, by route. A row has the ``level`` x, the ``side``
-    (above or below it), the ``probability`` beyond it by the ``reference``, the answer for the
-    full system that is known best, the ``ratio`` of the theory's probability to it and its
-    ``error``, two standard errors of a sample included. The side that is further off is given.
+    ``densities``: of one coordinate, by route. A row has the ``observable``, the ``theory``, the
+    ``level`` x, the ``side`` ("above", or "below" except for energies), the ``probability`` beyond
+    it by the ``reference``, the label of the full system's answer of least L1 error, the ``ratio``
+    of the theory's probability to it and its ``error``, two standard errors of a sample included.
+    The side that is further off is given. Sampled theories are left out; nothing is yielded without
+    an answer of the full system.
     """
     full = [(d.l1_error, k, r) for k, (r, d) in enumerate(densities.items()) if r.solves == "full"]
     theories: dict[str, Route] = {}

@@ -71,7 +71,11 @@ class Replies:
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
-        """The differences of all pairs of routes, except of two different averaged theories."""
+        """The differences of all pairs of routes, relative to the full system if one is averaged.
+
+        Left out are two different averaged theories, a simulation of a theory against the full
+        system if the theory is also solved, and judged differences without a finite band.
+        """
         rows: list[Comparison] = []
         solved = {g.route.method for g in self.given if not g.route.sampled}
         for a, b in combinations(self.given, 2):
@@ -177,9 +181,10 @@ def _worst(
 ) -> Iterator[Distance]:
     """Yield the largest of the differences at ``times``, in units of their bands if ``judged``.
 
-    ``name`` has a place for the time. ``pair`` has the values and errors (times,) of both answers,
-    ``sampled`` says whose errors are standard errors. Times at which an error is too large are left
-    out; if all are, nothing is yielded.
+    ``name`` is a format of the time. ``pair`` has the values and errors (times,) of both answers,
+    ``sampled`` says whose errors are standard errors; "relative" is to the second. Times at which
+    an error exceeds ``LARGEST_ERROR`` or, if relative, ``COMPARABLE`` are left out; if all are,
+    nothing is yielded.
     """
     a, b = pair
     unit = np.abs(b[0]) if norm == "relative" else np.ones(times.size)

@@ -85,8 +85,8 @@ def compare_quantities(
 ) -> tuple[Comparison, ...]:
     """Return the comparisons of all pairs of routes in every quantity that both give.
 
-    The ``band`` is the sum of both ``reach``; None for averaging errors, and if a sample is too
-    small to bound its error.
+    Differences are absolute; a number that is not finite is left out. The ``band`` is the sum of
+    both ``reach``; None for averaging errors, and if a sample is too small to bound its error.
     """
     neglected = {r.method.route for r in results if r.neglected}
     failed = [

@@ -115,7 +115,8 @@ class Definition:
     def of(self, density: AnyDensity, system: System) -> Number:
         """Return the number that follows from ``density``, stationary and of ``observable``.
 
-        Numbers and errors of both sides of a contact are added.
+        Numbers and errors of both sides of a contact are added; a kind "…_in_contact" is the sum of
+        the means over the sum of the contact probabilities.
         """
         if self.contact is None:
             number: Number = getattr(density, self.kind)(*(() if self.at is None else (self.at,)))

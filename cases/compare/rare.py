@@ -145,7 +145,8 @@ def score_of_averaged_energy(system: System, question: PassageQuestion) -> Score
     """Return ln P(failure | energy, remaining time) of the averaged energy, Eq. (24).
 
     It maps energies (m,) and times (k,) to (k, m), values at least ln 1e-300. None for a limit of
-    another quantity than H, and if P(failure) from rest by the last time is below ``LEAST_SCORE``.
+    another quantity than H, where energy averaging does not apply, and if P(failure) from rest by
+    the last time is at most ``LEAST_SCORE``.
     """
     if question.limit.kind != "H":
         return None

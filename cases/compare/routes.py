@@ -85,7 +85,7 @@ def chosen_methods(
     """Return the ``methods`` with one of the ``names``, method or method/solver; no name: all.
 
     ``simulation`` False leaves out methods that sample. Raises ``InvalidInput`` for an unknown
-    name, and if no method remains.
+    name, and if none of the named methods remains.
     """
     wanted = {m.route for name in names for m in methods_of(*name.split("/", 1))}
     chosen = [m for m in methods if not names or m.route in wanted]

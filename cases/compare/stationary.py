@@ -132,8 +132,8 @@ def run_scene(
 ) -> Outcome:
     """Return the answers of ``methods`` for every curve of ``scene``, each method ``unasked``.
 
-    ``partial``: Ctrl-C ends the work; later curves are not run. ``relax``: default tolerances may
-    be loosened. ``tol``: tolerance of the solvers for questions in time, None: their own. The
+    ``partial``: Ctrl-C ends the work; later curves have no answers. ``relax``: default tolerances
+    may be loosened. ``tol``: tolerance of the solvers for questions in time, None: their own. The
     ``seconds`` of the simulations are shared by a ``Budget``. ``save`` is called with the outcome
     so far after the answers of each curve, before they are compared.
     """

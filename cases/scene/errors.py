@@ -20,7 +20,7 @@ class BadInput(ValueError):
     """Input that cannot be used; the message is one line that says how to correct it."""
 
     def __init__(self, message: str) -> None:
-        """Store ``message`` as one line of at most ``LONGEST`` characters, its middle left out."""
+        """Store ``message`` as one line, its middle left out beyond ``LONGEST`` characters."""
         super().__init__(one_line(message))
 
 

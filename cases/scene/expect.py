@@ -56,11 +56,11 @@ class Expect:
 def expect_of(
     table: Mapping[str, Any] | None, observables: Sequence[Observable], *, curves: int
 ) -> Expect | None:
-    """Return the claims of the [expect] ``table`` of a scene with so many ``curves``, if any.
+    """Return the claims of the [expect] ``table`` of a scene with ``curves`` curves, None for None.
 
     Without "of" they are about the first of the observed ``observables``. Raises ``InvalidInput``
-    if "of" is not observed, for a Gaussian claim on a pair, and for a claim that compares curves of
-    a scene with a single curve.
+    if "of" is not observed, for a range without exactly one relation, for a Gaussian claim on a
+    pair, and, with a single curve, for a Gaussian claim or ``nonintegrable_better_with``.
     """
     if table is None:
         return None

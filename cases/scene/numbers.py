@@ -155,9 +155,10 @@ def with_numbers(system: System, values: Mapping[str, float]) -> System:
 class Curve:
     """One curve of a figure: its ``label``, such as ``B = 10``, and its system.
 
-    ``key`` is the varied key, as ``contact.stiffness``, and ``value`` its value as one number: B,
-    δ, the common ratio c/D, or else the trace of the matrix. A lone curve has an empty label and
-    the value None.
+    ``key`` is the varied key, as ``contact.stiffness``, and ``value`` its value as one number: B
+    or δ of the first contact, the ratio c/D if ``system.damping`` is varied and every curve has a
+    common ratio, or else the trace of the matrix. A lone curve has an empty label and the value
+    None.
     """
 
     label: str
@@ -179,8 +180,9 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
     """Return the curves: first ``system`` itself, then it with each value of the varied key.
 
     ``vary`` is the table [vary], {table: {key: values}}; None: ``system`` alone. A value that
-    ``system`` or an earlier curve has makes no curve. Raises ``InvalidInput`` for more than
-    one key, and for a value that the system cannot take.
+    ``system`` or an earlier curve has makes no curve. Raises ``InvalidInput`` unless there is
+    exactly one key, for a key of contacts without contacts, and for a value that the system cannot
+    take.
     """
     if vary is None:
         return (Curve("", system),)
@@ -213,7 +215,7 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
 
 
 def _common_ratio(system: System) -> float | None:
-    """Return c_i/D_i if c and f D fᵀ are diagonal and it is the same for all i; else None."""
+    """Return c_i/D_i if c and f D fᵀ are diagonal, no D_i is 0 and all ratios agree, else None."""
     matrices = system.damping, system.noise_matrix
     c, d = map(np.diag, matrices)
     if not all(map(np.array_equal, matrices, map(np.diag, (c, d)))) or not np.all(d):

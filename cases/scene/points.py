@@ -32,8 +32,9 @@ def parse_points(text: str, axes: int, *, option: str = "at") -> tuple[Array, ..
 def _list(part: str, given: str) -> Array:
     """Return the points of a list such as ``-1:1:0.1,3``, in the order in which they are written.
 
-    Steps are added in decimal arithmetic, so that the end is a point if a whole number of steps
-    leads to it. Raises ``BadInput`` that begins with ``given``.
+    An item is a number or start:end:step. Steps are added in decimal arithmetic, so that the end is
+    a point if a whole number of steps leads to it. Raises ``BadInput`` that begins with ``given``,
+    also for a step of 0, away from the end or beyond it.
     """
     points: list[Decimal] = []
     for item in part.split(","):

@@ -72,7 +72,11 @@ CLAIMS = ("rate_error", "failure_error")
 
 
 def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:
-    """Return the questions of [[passage]]; raise ``InvalidInput`` naming table, key and value."""
+    """Return the questions of [[passage]]: from rest without "start"; ``times`` may be empty.
+
+    Raises ``InvalidInput`` naming table, key and value, also as ``require_below`` does, and for
+    "failure_error" without times.
+    """
     questions = []
     for k, table in enumerate(tables, start=1):
         place = f"passage[{k}]"
@@ -94,7 +98,10 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
 def transients_of(
     tables: Sequence[Mapping[str, Any]], system: System
 ) -> tuple[TransientQuestion, ...]:
-    """Return the questions of [[transient]]; raise ``InvalidInput`` naming table, key and value."""
+    """Return the questions of [[transient]]: from rest without "start".
+
+    Raises ``InvalidInput`` naming table, key and value, also for a pair and for a time of 0.
+    """
     questions = []
     for k, table in enumerate(tables, start=1):
         with _name_table(f"transient[{k}]"):

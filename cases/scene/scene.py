@@ -100,10 +100,11 @@ class Scene:
     """A checked scene file.
 
     ``name`` is the file's stem, also the ``title`` if the file has none; ``source`` says where the
-    values come from; ``text`` is the content of the file; ``curves`` holds the scene's own system
-    first, then the curves of ``[vary]``. ``expect``: the claims, None for none. ``passages`` and
-    ``transients`` are the questions in time, for each curve. ``exceedance`` has pairs (X, a): an
-    observable and a level of P(X > a). ``units`` are the names of ``[units]``.
+    values come from, empty if the file does not; ``text`` is the content of the file; ``curves``
+    holds the scene's own system first, then the curves of ``[vary]``. ``expect``: the claims, None
+    for none. ``passages`` and ``transients`` are the questions in time, for each curve.
+    ``exceedance`` has pairs (X, a): an observable and a level of P(X > a). ``units`` are the names
+    of ``[units]``.
     ``densities_asked``: ``observables`` come from ``[observe]``, not from the defaults. ::
 
         scene = fpk.load("fig6a")
@@ -139,7 +140,8 @@ def shipped_scenes() -> dict[str, Path]:
 def load_scene(scene: str | Path) -> Scene:
     """Return the shipped scene of the name ``scene``, or the scene at that path.
 
-    Its ``system`` is Eq. (1). A path has a folder or a suffix, as ``"my/pipe.toml"``. ::
+    Its ``system`` is Eq. (1). A path has a folder or a suffix, as ``"my/pipe.toml"``,
+    or names something that exists. ::
 
         system = fpk.load("fig6a").system
 

@@ -36,7 +36,7 @@ MOST_OBSERVED = 16
 """Largest number of densities of a scene."""
 
 LARGEST, SMALLEST = 1e100, 1e-100
-"""Range of the modulus of a number: a product of three inputs stays in double precision."""
+"""Range of the modulus of a number that is not 0: a product of three stays in double precision."""
 
 
 def _list(items: core.CoreSchema, *, least: int = 1, most: int = MAX_MASSES) -> core.ListSchema:

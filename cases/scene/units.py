@@ -62,7 +62,7 @@ class Units:
     time: str = ""
 
     def __post_init__(self) -> None:
-        """Raise ``InvalidInput`` if two units have the same name."""
+        """Raise ``InvalidInput`` if two units have the same name that is not empty."""
         named = [name for name in (self.length, self.mass, self.time) if name]
         if len(set(named)) < len(named):
             key = "time" if self.time in named[:-1] else "mass"
@@ -72,7 +72,7 @@ class Units:
         """Return the unit of a product of quantities of these powers of length, mass and time.
 
         As ``kg mm² s⁻²``, which UDUNITS reads, or ``kg m^-0.5 s^-2`` if a power is no integer; "1"
-        for a number, empty without names. ``inverse``: the unit of 1 over the product.
+        for a number, empty unless all three have names. ``inverse``: the unit of 1/product.
         """
         if not self:
             return ""
@@ -105,16 +105,16 @@ class Units:
     def number(self, name: str, observable: str = "") -> str:
         """Return the unit of a quantity by its name, such as ``rms`` or ``mean force, left stop``.
 
-        ``observable``, as ``q2``, is the coordinate or pair of which the quantity is; its unit is
-        taken if no words of ``NAMED`` are in ``name``: squared for a ``variance``, the product of
-        both units for the ``covariance`` of a pair.
+        ``observable``, as ``q2``, is the coordinate or pair of which the quantity is; it is needed
+        if no words of ``NAMED`` are in ``name``: the unit is then its unit, squared for a
+        ``variance``, the product of both units for the ``covariance`` of a pair.
         """
         own = [DIMENSIONS[c[0]] for c in observable.split(",") if c[:1] in DIMENSIONS]
         named = next(([powers] for words, powers in NAMED if re.search(words, name)), own)
         return self.of(*named * (2 if re.search(r"\bvariance", name) else 1))
 
     def record(self) -> dict[str, Any] | None:
-        """Return the names and all derived units for JSON, None without names."""
+        """Return the three names and the units of ``DERIVED`` by key; None unless all are named."""
         return {**vars(self), **{name: self.quantity(name) for name in DERIVED}} if self else None
 
 

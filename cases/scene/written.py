@@ -28,8 +28,8 @@ NOTE = (
 def number(value: Any, digits: int = 3) -> str:
     """Return ``value`` as text: a float as ``1.23 × 10⁻⁵``, to ``digits`` significant digits.
 
-    From 1e-3 to 1e5 it is plain, with one digit more. The entries of a list are joined by commas;
-    None is a dash; anything else is ``str(value)``.
+    If 0, or from 1e-3 to below 1e5, it is plain, with one digit more. The entries of a list or
+    tuple are joined by commas; None is a dash; anything else is ``str(value)``.
     """
     if value is None:
         return "–"
@@ -52,7 +52,7 @@ def round_up(value: float, last: int) -> int:
 
 
 def bound(error: float | None, digits: int = 2) -> str:
-    """Return an error rounded up to ``digits`` digits: ``1.3e-03`` for 0.00121; a dash for None."""
+    """Return an error rounded up to ``digits`` digits, as ``1.3e-03``; "0", "inf", None: a dash."""
     if error is None:
         return "–"
     if error == 0.0 or not isfinite(error):
@@ -80,7 +80,8 @@ def with_error(value: float | None, error: float | None) -> str:
     """Return ``0.1235 ± 1.3e−3``: at most six digits of ``value``, as its ``error`` allows.
 
     The error is rounded up to two digits, and left out if it is 0. A value below a tenth of its
-    error is shown as 0, and its modulus is added to the error. A dash if either is None.
+    error is shown as 0, and its modulus is added to the error. A dash if either is None; the error
+    must be finite.
     """
     if value is None or error is None:
         return "–"
@@ -97,8 +98,9 @@ def with_error(value: float | None, error: float | None) -> str:
 def concise(value: float | None, error: float | None) -> str:
     """Return ``value`` with its ``error`` in brackets, in units of the last digits: ``0.4123(5)``.
 
-    No brackets if the error is below the last of ``DIGITS`` digits; ``0(2e-10)`` for a number
-    within its error of zero; a dash if either is None.
+    No brackets if the error is below half a unit of the last of ``DIGITS`` digits; ``0(2e-10)`` for
+    a number within its error of zero, the error below ``SMALL``; a dash if either is None. The
+    error must be finite.
     """
     if value is None or error is None:
         return "–"

@@ -93,7 +93,7 @@ class CostStudy:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the fields, the cheapest settings and crossings, for JSON by ``plain``."""
+        """Return fields, "crossings", "prices", "promises", "problems" for JSON by ``plain``."""
         return {
             **vars(self),
             "scene": self.scene.name,
@@ -256,7 +256,7 @@ def _time_levels(equation: Equation, first: Discretisation) -> Iterator[Level]:
 
 
 def _models(system: System, reference: Reference) -> list[Model]:
-    """Return the averaging error of each theory in p(q_i), and the time of its fastest route."""
+    """Return for each theory the averaging error in p(q_i), and the time, of its fastest route."""
     models: dict[str, Model] = {}
     of = reference.density.observable
     for method in deterministic("averaged"):

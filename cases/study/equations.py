@@ -265,7 +265,10 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
 
 
 def modal_equation(system: System, solver: str = "fem") -> Equation:
-    """Return (17) for p(H1, H2) of the first two modes; raise ``NotApplicable`` as the theory does.
+    """Return (17) for p(H1, H2) of the first two modes.
+
+    Raises ``NotApplicable`` as the theory does, for one mass, and where damping terms couple more
+    than two modal energies, ``NotCertified`` if the reference has no finite error.
 
     Constant damping has the closed form (34) as reference. Where damping depends on the state it is
     elements of scikit-fem of one degree (p itself is the polynomial, w = 1) on a mesh of their own,

@@ -69,7 +69,8 @@ class Law:
     def cheapest(self, error: float) -> tuple[float, float]:
         """Return (dt, paths x time) that reach ``error`` in the least time.
 
-        Minimising c W/dt under A/√W + B dtʳ = ε leaves the bias the share 1/(2r + 1) of ε.
+        Minimising c W/dt under A/√W + B dtʳ = ε leaves the bias the share 1/(2r + 1) of ε, less if
+        dt is limited by ``largest``.
         """
         r = self.order
         dt = self.largest

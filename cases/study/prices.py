@@ -43,7 +43,8 @@ class Priced:
     def seconds_for(self, error: Array) -> Array:
         """Return the processor times for errors of any shape, NaN for an error not reached.
 
-        They are interpolated log-log between the points that no other beats in time and error.
+        They are interpolated log-log between the points that no other beats in time and error;
+        an error above all points has the least time.
         """
         points = sorted(self.points, key=lambda p: (p.seconds, p.error))
         e = np.log([max(p.error, 1e-300) for p in points])
@@ -138,7 +139,8 @@ def price_list(routes: Sequence[Priced], *, promised: bool = False) -> list[dict
 def crossovers(routes: Sequence[Priced]) -> list[dict[str, Any]]:
     """Return where the cheapest route of each equation changes, from large errors to small.
 
-    Under ``error`` the route ``below`` is cheaper than ``above``, the cheapest until then.
+    Each row has ``equation``, ``error`` and the routes: under ``error`` ``below`` is cheaper than
+    ``above``, the cheapest until then. A change to or from no route at all has no row.
     """
     crossings = []
     errors = np.geomspace(0.3, 1e-13, 1001)

@@ -32,8 +32,9 @@ class MapPoint:
 
     ``L1`` and ``error`` are by theory, without the theories that do not apply. ``reference`` is the
     route that solved the full system, empty if no theory applies; ``rms_ratio`` the smallest
-    clearance over the rms displacement without contact; ``winner`` the nearer theory, or
-    ``UNDECIDED``, or ``NEITHER``; ``problems`` are failures and answers that are not certified.
+    clearance over the rms displacement without contact, None if it is not known; ``winner`` the
+    nearer theory, or ``UNDECIDED``, or ``NEITHER``; ``problems`` are failures and answers that are
+    not certified.
     """
 
     values: tuple[float, ...]
@@ -67,7 +68,7 @@ class RegimeMap:
         return {**own, "observable": observable_name(self.observable), "points": self.points}
 
     def variables(self) -> Variables:
-        """Return the distances (theory, axes) and what belongs to a point (axes) for netCDF."""
+        """Return coordinates, "L1", "error" (theory, axes), "rms_ratio", "winner", "reference"."""
         swept, name = self.sweep, observable_name(self.observable)
         keys = tuple(axis.dimension for axis in swept.axes)
         shape = [axis.values.size for axis in swept.axes]
@@ -193,9 +194,10 @@ def build_map(scene: Scene, vary: Sequence[str], **settings: Any) -> RegimeMap:
 
 
 def winner_of(distances: dict[str, tuple[float, float]]) -> str:
-    """Return the theory with the smaller distance, if the difference exceeds both errors.
+    """Return the theory with the smallest distance, if the others exceed it by the sum of errors.
 
-    ``distances`` have (L1, error) by theory. Else ``UNDECIDED``; ``NEITHER`` if empty.
+    ``distances`` have (L1, error) by theory. Else ``UNDECIDED``; ``NEITHER`` if empty. A theory
+    alone is returned.
     """
     if not distances:
         return NEITHER

@@ -143,7 +143,7 @@ def best_answer(
     """Return label and density of the certified answer with the least stated error, 0 if sampled.
 
     An answer that is not certified is taken if there is no other. Appends to ``problems`` the
-    failed checks of the answer, or without an answer the methods that failed.
+    failed checks of the answer; without an answer the methods that failed, and returns None.
     """
     answers = answers_of(system, [observable], methods)
     offers = [
@@ -233,7 +233,7 @@ def weak_order(system: System, method: MonteCarlo, *, seconds: float) -> WeakOrd
 
     A pilot gives the factor by which its standard errors are too large for the order to be known to
     ``ORDER_ERROR``; the sample grows as the square of the factor, or until ``seconds`` of processor
-    time are spent.
+    time are spent. The verdict is "unstable", without levels, if no step can be used.
     """
     theory = SCHEMES[method.scheme].weak_order
     unusable = WeakOrder(method.scheme, f"E {square_name(system)}", theory)

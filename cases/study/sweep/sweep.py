@@ -91,7 +91,7 @@ class Sweep:
         )
 
     def record(self) -> Record:
-        """Return what ``fpk sweep`` writes as JSON, not yet converted by ``plain``."""
+        """Return the fields for JSON by ``plain``: "scene" is its name, an empty unit None."""
         own = {key: value for key, value in vars(self).items() if key != "scene"}
         axes = [{"key": a.key, "unit": a.unit or None, "values": a.values} for a in self.axes]
         own["units"] = [unit or None for unit in self.units]
@@ -125,7 +125,11 @@ class Sweep:
         }
 
     def variables(self) -> Variables:
-        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes)."""
+        """Return ``value``, ``error``, ``error_kind``, ``certified`` (quantity, route, axes).
+
+        Also ``unit`` (quantity), ``solves`` (route), the names ``quantity`` and ``route``, and the
+        coordinates; all by name, as (dimensions, array, attributes).
+        """
         dimensions = ("quantity", "route", *(axis.dimension for axis in self.axes))
         words = "an estimate of the numerical error or one standard error, as error_kind says"
         return {
@@ -247,7 +251,7 @@ class Sweep:
         return str(self.table().html())
 
     def to_xarray(self) -> Any:
-        """Return ``variables`` as an ``xarray.Dataset``; needs the package xarray."""
+        """Return ``variables`` as an ``xarray.Dataset``; raise ``ImportError`` without xarray."""
         from xarray import Dataset  # noqa: PLC0415  (optional)
 
         return Dataset(self.variables(), attrs={"scene": self.name})
@@ -290,11 +294,11 @@ def sweep(
 
     ``vary`` has a list of values, or a grid such as "0.1:10:log5", by the path of the number, as
     ``place_of`` reads it; or texts "PATH=GRID". ``quantities`` are named as in ``fpk sweep``;
-    ``methods`` are names, "nonintegrable" or "nonintegrable/fem", left out ``METHODS``; where one
-    does not apply there is no value. ``tol`` is the L1 tolerance of the solvers. "montecarlo" is
-    ``simulation``. Averaging errors are L1 distances to the full system's density by ``reference``,
-    "montecarlo" or "phase-space", where it is not exact. Finished points are stored in ``folder``,
-    from which a sweep goes on. ::
+    ``methods`` are names, "nonintegrable" or "nonintegrable/fem", left out: all of ``METHODS`` that
+    apply at some point; where one does not apply there is no value. ``tol`` is the L1 tolerance of
+    the solvers. "montecarlo" is ``simulation``. Averaging errors are L1 distances to the full
+    system's density by ``reference``, "montecarlo" or "phase-space", where it is not exact.
+    Finished points are stored in ``folder``, from which a sweep goes on. ::
 
         result = fpk.sweep(system, {"contact[1].clearance": [0.4, 0.5]}, ["rms(q2)"])
         result.field("value")   # (quantity, method, clearance)
