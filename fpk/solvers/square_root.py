@@ -191,8 +191,8 @@ class SquareRoot:
         """Return P(T <= t) at ``times`` by the inverse Laplace transform, and its absolute error.
 
         ``limit`` and ``start`` are energies. At short times, at which the transform cancels, 0 is
-        returned with Chernoff's bound e^(st) E e^(−sT) as its error. Raises ``NotApplicable`` if an
-        error exceeds ``tol``.
+        returned with Chernoff's bound e^(st) E e^(−sT) as its error; at t <= 0 both are 0. Raises
+        ``NotApplicable`` if an error exceeds ``tol``.
         """
         x0, xf = start * self.c / self.d, limit * self.c / self.d
         p, error = np.zeros((2, times.size))

@@ -40,8 +40,8 @@ NullVectors = Callable[[Process, Array, int, int], tuple[Array, float]]
 class Rule(NamedTuple):
     """Quadrature points t of an element, from 0 to 1 over it, and the Legendre polynomials P_j.
 
-    ``share`` are Gauss points with the ``weight``, of sum 1; ``P`` (degree + 3, points) are the
-    values there, ``tested`` (2 · points, (degree + 2) · (degree + 3)) the products P_i P_j and then
+    ``share`` are Gauss points with the ``weight``, of sum 1; ``P`` (degree + 3, points) are the P_j
+    there, ``tested`` (2 · points, (degree + 2) · (degree + 3)) the products P_i P_j and then
     P_i dP_j/dt of test functions i and terms j. ``enriched_weight`` is the interpolatory rule
     without the middle point: its distance from the Gauss rule exceeds the error of the latter.
 
@@ -62,7 +62,7 @@ class Rule(NamedTuple):
 
 @lru_cache
 def element_rule(degree: int, degrees_of_freedom: int = 1) -> Rule:
-    """Return the points of elements of ``degree``; more for n = ``degrees_of_freedom`` > 2."""
+    """Return the rule of elements of ``degree``; more points for n = ``degrees_of_freedom`` > 2."""
     points = degree + (2 if degrees_of_freedom > 2 else 1) * ELEMENT_POINTS
     count, highest = degree + CONTACT_POINTS, degree + ENRICHMENT
     x, w = gauss_legendre(points)

@@ -26,7 +26,7 @@ its maximum: ln(p H) rises above its chord by at most an eighth of it."""
 PROBE_DEPTH = 100.0
 """Depth in ln(p H) below its maximum down to which a probe resolves p: 4e-44 of the mass."""
 ELEMENT_FALL = 3.0
-"""Default fall of ln(p/T) over an element: degree 10 approximates exp(−3 t) to 1e-11."""
+"""Default fall of ln(p/T) over an element: degree 10 approximates exp(−3 t) to 6e-10."""
 SMOOTH_FALL = 4.0
 """Fall n of ln(p/T) over one element if ln(p/T) is linear in H. A polynomial of degree p has the
 error n^(p+1)/((p+1)! 2^(2p+1)) of the maximum of e^(−x) (Chebyshev), 1e-1 to 1e-2 of a tolerance
@@ -110,14 +110,15 @@ class Probe:
         return density_at_end * length if falls else math.inf
 
     def e_fold(self, end: float) -> float:
-        """Return the mean energy difference, below ``end``, over which p/T changes by e."""
+        """Return the mean energy difference, below ``end``, in which p/T changes by a factor e."""
         energy = np.concatenate([[0.0], self.energy[self.energy < end], [end]])
         return end / float(np.trapezoid(np.interp(energy, self.energy, self.roughness), energy))
 
 
 def probe_process(process: Process) -> Probe:
     """Return a probe of ``process`` so fine that no maximum of p lies hidden between two energies.
-    Raises ``NotCertified`` if the density does not fall off at the highest energies."""
+    Far energies at which coefficients overflow are left out. Raises ``NotCertified`` if the density
+    does not fall off at the highest of the others."""
     energy = process.energy_scale * PROBE_ENERGIES
 
     def sampled(energy: Array, c: Coefficients) -> tuple[Array, Array, Array]:
@@ -153,11 +154,12 @@ def initial_nodes(
     nats: Array | float = ELEMENT_FALL,
     layers: int = GRADED_LAYERS,
 ) -> Array:
-    """Return nodes from 0 to ``end``, with a node at each of the ``nonsmooth`` energies.
+    """Return nodes from 0 to ``end``, with a node at each of the ``nonsmooth`` energies between.
 
     ``nats`` is the fall of ln(p/T) over one element, one number or one for each energy of the
-    ``probe``. Above every nonsmooth energy H_c lie geometric ``layers``; if H_c is tiny compared
-    with its element, elements grow from it by ``CONTACT_GROWTH``, as T changes with H/H_c.
+    ``probe``. Above every nonsmooth energy H_c lie geometric layers, ``layers`` of them below the
+    next node, 0 for none; if H_c is tiny compared with its element, elements grow from it by
+    ``CONTACT_GROWTH``, as T changes with H/H_c.
     """
     # Between two ends the nodes divide ∫rate into equal shares, as few as ∫rate allows.
     ends = np.array([0.0, *(H for H in nonsmooth if 0.0 < H < end), end])
@@ -180,7 +182,8 @@ def with_layers(nodes: Array, nonsmooth: tuple[float, ...], *, count: int = GRAD
     """Return ``nodes`` with geometric layers above each node that is a ``nonsmooth`` energy H.
 
     The layers go from the last node down to ``count`` layers below the node next to H, so that the
-    ratio of the distances of both ends of any element from H is at least ``GRADING``.
+    ratio of the distances of both ends of any element from H is at least ``GRADING``. If ``count``
+    is 0, ``nodes`` are returned.
     """
     for H in nonsmooth:
         if count and nodes[0] <= H < nodes[-1]:
@@ -199,7 +202,7 @@ def split_points(left: Array, right: Array, nonsmooth: tuple[float, ...]) -> Arr
 
 
 def first_degree(degree: int, n: int) -> int:
-    """Return the degree of the element at H = 0, where T ~ H^(n−1), at most ``degree``.
+    """Return the degree of the element at H = 0, where T ~ H^(n−1), from 1 to ``degree``.
 
     The orthogonal polynomial of degree k in the weight H^(n−1), 1 at the right end, has the value
     (n+k−1 over k) at 0, which must not exceed ``LARGEST_VALUE``.
@@ -228,7 +231,9 @@ def time_nodes(
 
     They are the nodes for the stationary density of ``process``; nodes around the energies in
     ``fine``, pairs (energy, length of the elements beside it), with lengths that grow by
-    ``LENGTH_RATIO``; and the nodes ``more``. One of two nodes that nearly coincide is dropped.
+    ``LENGTH_RATIO``; and the nodes ``more``. Nodes beyond ``end`` are dropped, and one of two that
+    nearly coincide, but not 0, ``end``, a nonsmooth energy or a positive one in ``fine``. Raises as
+    ``probe_process`` does.
     """
     n = process.degrees_of_freedom
     nodes = initial_nodes(probe_process(process), end, process.nonsmooth, nats=SMOOTH_FALL)

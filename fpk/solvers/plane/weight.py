@@ -204,7 +204,7 @@ def _power_columns(x: Array, powers: Integers, *, slope: bool = False) -> Array:
 
 
 def fits_by_degree(columns: Array, right: Array, powers: Integers) -> Iterator[tuple[Array, float]]:
-    """Yield least-squares fits of ``right`` (rows,) of total degree 1, 2, …, with relative misfits.
+    """Yield least-squares fits of ``right`` (rows,) of total degree 1, 2, …, and |misfit|/|right|.
 
     ``columns`` (rows, coefficients) are the values of the monomials with the ``powers``
     (coefficients, 2), by degree. A fit is (degree + 1, degree + 1), [i, j] for x^i y^j. The fits

@@ -43,8 +43,9 @@ class Elements:
     functions) are the coefficients of f = (h_0, h_1, v_j) in the ``shape_functions``; ``mass`` is
     ∫π f_i f_j, ``load`` ∫π f_i and ``drift`` ∫π F f_i' f_j, F the part of the drift due to damping.
     ``conductance`` is 1/∫dx/m, ∫m v_j'² = 1 and ``relaxation`` is ∫π v_j². Zero flux at H = 0 is
-    natural: in the first element h_0 = 0, h_1 = 1 and v_j(0) is free; it may have fewer v_j, and
-    the others are 0. Σ ``weight`` f(``x``), (…, points), is ∫f dH for f = π times a polynomial.
+    natural: in the first element h_0 = 0, h_1 = 1, the conductance is 0, and v_j(0) is free; it may
+    have fewer v_j, and the others are 0. Σ ``weight`` f(``x``), (…, points), is ∫f dH for f = π
+    times a polynomial.
     ``log_rise`` (…, terms) is a Legendre series of ln π/T, less its value at the left end, in ∛t in
     an element that begins at ``contact`` and in t elsewhere, t from 0 to 1; ``log_local`` is
     ln of the largest π, over π/T at the left end. ``relative_error`` is the error of π and m by the
@@ -112,8 +113,8 @@ class Elements:
         """Return the relative error of densities and rates by the errors of the coefficients.
 
         Each element is weighted by its share of the mass, and of the distance ∫dH/√b up to the
-        energy ``upto`` or through all but 1e-6 of the mass: short elements near a contact energy
-        have large errors.
+        energy ``upto`` or through all but 1e-6 of the mass, the longer of both: short elements near
+        a contact energy have large errors.
         """
         mass = np.exp(self.log_mass - np.logaddexp.reduce(self.log_mass))
         bulk = (mass[::-1].cumsum()[::-1] > 1e-6) | (self.left < upto)
@@ -122,8 +123,8 @@ class Elements:
         return float(weights @ self.relative_error + self.slope_error.sum())
 
     def within(self, x: Array) -> tuple[Integers, Array]:
-        """Return the element of each point ``x`` (points,), and its local coordinate, 0 to 1; a
-        point outside has the nearest end."""
+        """Return the element of each point ``x`` (points,), at a node the element on its right, and
+        its local coordinate, 0 to 1; a point outside has the nearest end."""
         k = np.clip(np.searchsorted(self.nodes, x, side="right") - 1, 0, self.count - 1)
         return k, np.clip((x - self.left[k]) / (self.right[k] - self.left[k]), 0.0, 1.0)
 
@@ -145,7 +146,8 @@ class Elements:
         return summed(f, values), summed(np.abs(f) if size is None else size, np.abs(values))
 
     def log_density(self, x: Array, *, of_states: bool = False) -> Array:
-        """Return ln π, or ln(π/T) if ``of_states``, at ``x`` > 0 (points,); π/T = 1 at H = 0."""
+        """Return ln π, or ln(π/T) if ``of_states``, at ``x`` > 0 (points,). π/T is 1 at H = 0, and
+        constant beyond the last node."""
         k, t = self.within(x)
         s = np.where(self.contact[k], np.cbrt(t), t)
         series = legvander(2.0 * s - 1.0, self.log_rise.shape[1] - 1)
@@ -174,7 +176,8 @@ class ChainDensity(NamedTuple):
 
     def density(self, x: Array, *, of_states: bool = False) -> tuple[Array, Array]:
         """Return p, or p/T if ``of_states``, at ``x`` > 0 (points,), and the sum of the sizes of
-        its terms, (times, points) each. The solution must be a density."""
+        its terms, (times, points) each. The solution must be a density; beyond the last node it
+        is continued with constant p/T, not 0."""
         e = self.elements
         p, size = e.at(x, self.values, self.size)
         factor = np.exp(e.log_density(x, of_states=of_states) - e.log_scale[e.within(x)[0]])
@@ -189,7 +192,8 @@ def rule(degree: int, contact: bool, steepness: int) -> tuple[Array, ...]:
     matrix (terms, points) from values to the Legendre series of their integral from 0 to t; the
     ``shape_functions`` and their slopes (points, degree + 1). The points are Gauss points of s,
     with s = ∛t at contact, as π is smooth in ∛(H − H_c), and s = t elsewhere. For π ~ t^k,
-    k = ``steepness`` > 7, they are Gauss-Jacobi points.
+    k = ``steepness`` > 7, without contact they are Gauss-Jacobi points, and the integral from 0 to
+    t is t times the mean of the values.
     """
     count = 3 * degree + 8 if contact else degree + 6
     steep = steepness > 7 and not contact
@@ -300,9 +304,10 @@ def element_pair(process: Process, nodes: Array, degree: int, *, beyond: ArrayLi
 
 
 def solve_with_refinement(pair: Pair, solve: Callable[[Pair], tuple[Answer, Flags]]) -> Answer:
-    """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element, or after
-    ``MOST_ROUNDS``. ``solve`` returns an answer and flags (elements,): which elements of the answer
-    to cut in two for the next pair; ``pair`` is the first."""
+    """Return the answer of ``solve(pair)`` on the first mesh of which it marks no element, or with
+    more than ``MOST_ELEMENTS``, or after ``MOST_ROUNDS``. ``solve`` returns an answer and flags
+    (elements,): which elements of the answer to cut in two for the next pair; ``pair`` is the
+    first."""
     for _ in range(MOST_ROUNDS):
         answer, marked = solve(pair)
         if not marked.any() or marked.size > MOST_ELEMENTS:

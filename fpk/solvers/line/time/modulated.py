@@ -40,8 +40,8 @@ STEP_HALVINGS = (1, 4)
 Processes = Callable[[float], Process]
 """Function of a factor on the noise intensity that returns the process of the energy."""
 Carried = tuple[ChainDensity, Array, Array]
-"""The density at the output times, an array of numbers computed from it, and absolute errors of
-some of these numbers that are not seen by refinement."""
+"""The density at the output times, an array of numbers computed from it, and absolute errors of the
+last of these numbers, as many as there are errors, that are not seen by refinement."""
 
 
 def quiet_until(modulation: Modulation, source: Source) -> float:
@@ -125,9 +125,10 @@ def halve_steps(
     """Halve all steps until the numbers of ``carried(elements, level)`` hardly change.
 
     That is ``DISTANCE_FACTOR`` · ``size(changes, numbers)`` <= ``tol``, or the last level of
-    ``STEP_HALVINGS``. Returned are the density on adapted elements, started from ``pair``, with the
-    observed order of the steps among its settings, and three results of ``carried``: the answer,
-    with steps twice as long, and with steps twice as long on the elements of a higher degree.
+    ``STEP_HALVINGS``. Returned are the density on adapted elements, started from ``pair``, and a
+    list of three results of ``carried``: the answer, with steps twice as long, and with steps twice
+    as long on the elements of a higher degree. If three levels or more were solved, the settings of
+    the density contain the observed order of the steps.
     """
     carried = lru_cache(maxsize=4)(carried)
     solved = transition.solve_adaptively(
@@ -154,7 +155,7 @@ def halve_steps(
 def transition_with_modulation(
     under: Processes, modulation: Modulation, source: Source, times: Array, *, tol: float
 ) -> Transition:
-    """Return the density at ``times`` > 0 of an energy that starts from ``source``.
+    """Return the density at ascending ``times`` > 0 of an energy that starts from ``source``.
 
     At the factor e(t)² on the noise intensity, e the ``modulation``, the process is ``under(e²)``;
     ``tol`` is the L1 tolerance. The error is the distance to elements of a higher degree and to
@@ -197,10 +198,11 @@ def transient_with_modulation(
 ) -> Transient:
     """Return the densities of ``transition_with_modulation`` at ``times`` and energies ``at``.
 
-    ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion dH/dt = F(H) leads from
-    H_0 at its end to H at a later time, so that p(H, t) = p(H_0) F(H_0)/F(H). If the estimated
-    error exceeds ``LARGEST_ERROR``, stated errors are infinite. Raises ``NotApplicable`` if damping
-    feeds energy in after the end of the noise.
+    ``times`` > 0 ascend; ``tol`` is the L1 tolerance. If the modulation ends with 0, the motion
+    dH/dt = F(H) leads from H_0 at its end to H at a later time, so that p(H, t) = p(H_0)
+    F(H_0)/F(H). If the estimated error exceeds ``LARGEST_ERROR``, stated errors are infinite.
+    Raises as ``transition_with_modulation`` does, and ``NotApplicable`` if damping feeds energy in
+    and a time is later than the end of the noise.
     """
     end = float(modulation.times[-1]) if modulation.largest and not modulation.last else np.inf
     later = times > end

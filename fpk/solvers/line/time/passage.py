@@ -126,7 +126,7 @@ class FirstPassage:
 
     def failures(self, times: Array, x: Array) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` from starts ``x`` by both chains, and the sum of the sizes
-        of its terms: two arrays (2, times, points)."""
+        of its terms: two arrays (2, times, points), 0 for t <= 0."""
         p, size = np.zeros((2, 2, times.size, x.size))
         later = times > 0.0
         for k, e in enumerate(self.pair):
@@ -156,7 +156,8 @@ def chain_first_passage(
 
     The mesh is refined for ``tol``, relative for moments and rate, absolute for P(T <= t) at
     ascending ``times``. If ``source`` is a density, nodes resolve it; the answer is not averaged
-    over it. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision.
+    over it. Raises ``InvalidInput`` for a limit whose mean time is beyond double precision, and as
+    ``probe_process`` does.
     """
     degree, wanted = chain.degree_for(tol), 0.25 * tol
     beyond, probe = InvalidInput("limit", limit, BEYOND_RANGE), probe_process(process)
@@ -196,7 +197,7 @@ def fem_passage(
     """Return the first passage of the energy through ``limit`` from ``source`` below it.
 
     For ``times`` and ``tol`` see ``chain_first_passage``. The part of an initial density beyond the
-    limit has failed at time 0. Raises ``InvalidInput`` if the mean time is beyond double precision.
+    limit has failed at time 0. Raises as ``chain_first_passage`` does.
     """
     solved = chain_first_passage(process, limit, times=times, tol=tol, source=source)
     e, unit = solved.pair[0], solved.longest

@@ -76,7 +76,8 @@ def eliminate_chain(e: Elements, z: Numbers) -> tuple[Numbers, ...]:
     from end to end, ``shunt`` (elements, 2, points) the admittances to ground at both ends,
     ``damped`` (elements, functions − 2, points) is 1 + zν of the functions v_j, ν = ``relaxation``,
     ``total`` the sum of admittances at the left end, ``ratio`` is series/total, and ``passed`` the
-    admittance below, seen through the element from its right end. ``series`` of the first is 0.
+    admittance below, seen through the element from its right end. In the first element ``total`` is
+    1, and ``series``, ``ratio`` and ``passed`` are 0.
     """
     coupling, own = e.mass[:, 2:, :2], e.load[:, 2:]
     damped = 1.0 + e.relaxation[:, :, None] * z
@@ -206,7 +207,8 @@ def relaxation_spectrum(process: Process, count: int, *, tol: float = 1e-10) -> 
     """Return the ``count`` smallest nonzero eigenvalues of −L of ``process``, to relative ``tol``.
 
     The mesh ends where π φ² of an eigenfunction φ ~ H^``count`` has the mass ``TAIL_SHARES`` · tol
-    beyond. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.
+    beyond. If the number of smaller eigenvalues shows that a rate was missed, the certificate fails
+    by a residual of 1. Raises ``NotCertified`` if π φ² does not fall, or no eigenvalues are found.
     """
     degree, scale = chain.degree_for(tol), process.energy_scale
     order = float(process.coefficients(np.array([scale])).diffusion[0]) / scale**2

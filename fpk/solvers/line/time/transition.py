@@ -71,7 +71,8 @@ class Source:
 
 @dataclass(frozen=True)
 class Question:
-    """Start from ``source``, width of p at the first time (an energy), and L1 tolerance ``tol``."""
+    """Start from ``source``, width of p at the first time (an energy; from a density the energy
+    scale of the process), and L1 tolerance ``tol``."""
 
     source: Source
     width: float
@@ -149,8 +150,9 @@ def pose_question(
 
     ``time`` is the first time, ``tol`` the L1 tolerance. Meshes end at the absorbing ``limit``, or
     where the mass beyond is ``TAIL_SHARES`` · tol at any time: from a start at H_0 it is less than
-    the stationary mass beyond, over the stationary mass beyond H_0. Raises ``InvalidInput`` for a
-    start beyond the range of double precision.
+    the stationary mass beyond, over the stationary mass beyond H_0. Raises as
+    ``probe_process`` does, and ``InvalidInput``, if there is no ``limit``, for a start beyond the
+    range of double precision.
     """
     degree, start, width, fine = chain.degree_for(tol), source.energy, process.energy_scale, []
     if source.process is None:
