@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from hard_battery import TOL, Check, HardCase, energy_density
+from hard_scenes import TOL, Check, HardCase, energy_density
 from scipy.integrate import quad
 
 from averaging.energy_process import energy_process
@@ -75,10 +75,11 @@ def true_error(solution, reference):
     return float(np.sum(w * np.abs(solution.density(H) - reference.pdf(H))))
 
 
-def judged(name, hard, settings):
+def judged(name, settings):
     """One case from several meshes: each solution finite, its error no larger than it states.
 
-    ``settings`` makes labels, meshes and degrees of the nodes of a good mesh for the scene fig3b.
+    ``settings`` makes labels, meshes and degrees of the nodes of a good mesh for the scene fig3b;
+    its docstring says what is hard.
     """
     system = load_scene("fig3b").system
     process, reference = energy_process(system), energy_density(system, "closed-form")
@@ -92,58 +93,47 @@ def judged(name, hard, settings):
         certified += solution.certificate.certified
     honest = sum(c.holds for c in checks)
     words = f"{certified} of {len(checks)} certified, {honest} stated errors hold"
-    return HardCase(name, hard, "L1 " + "; ".join(measured), words, checks, "states no error")
+    shown = "L1 " + "; ".join(measured)
+    return HardCase(name, settings.__doc__, shown, words, checks, "states no error")
 
 
 def degrees(nodes):
+    """degrees from 1 to 12 on the same cells: condition, round-off, the estimate at its floor"""
     return ((f"p = {p}", nodes, p) for p in range(1, 13))
 
 
 def equal(nodes):
-    return (
-        (f"{n} cells", np.linspace(0.0, nodes[-1], n + 1), 2) for n in (2, 20, 2000, MOST_CELLS)
-    )
+    """P2 on equal cells, 2 to 1e6: nothing is resolved, or every cell is near round-off"""
+    for n in (2, 20, 2000, MOST_CELLS):
+        yield f"{n} cells", np.linspace(0.0, nodes[-1], n + 1), 2
 
 
 def graded(nodes):
+    """cells graded towards H = 0 over none to 300 decades: sizes that underflow when squared"""
     yield "0 decades", np.linspace(0.0, nodes[-1], 201), 4
     for decades in (3, 15, 300):
         yield f"{decades} decades", nodes[-1] * np.append(0.0, np.logspace(-decades, 0.0, 200)), 4
 
 
 def short(nodes):
+    """the user ends the mesh in the middle of the mass: what is left out is put inside"""
     for end in (0.02, 0.1, 0.4):
         yield f"to {end:g} of the last energy", np.linspace(0.0, end * nodes[-1], 41), 6
 
 
 def far(nodes):
+    """the user ends the mesh where p is far below the smallest number"""
     beyond = nodes[-1] * np.array([3.0, 10.0, 100.0, 1e4])
     yield "to 10000 times the last energy", np.concatenate([nodes, beyond]), 8
 
 
-JUDGED = (
-    (
-        "degrees",
-        "degrees from 1 to 12 on the same cells: condition, round-off, the estimate at its floor",
-        degrees,
-    ),
-    (
-        "meshes",
-        "P2 on equal cells, 2 to 1e6: nothing is resolved, or every cell is near round-off",
-        equal,
-    ),
-    (
-        "grading",
-        "cells graded towards H = 0 over none to 300 decades: sizes that underflow when squared",
-        graded,
-    ),
-    (
-        "end too near",
-        "the user ends the mesh in the middle of the mass: what is left out is put inside",
-        short,
-    ),
-    ("end too far", "the user ends the mesh where p is far below the smallest number", far),
-)
-CASES = (rigid_limit, *(partial(judged, *of) for of in JUDGED))
+JUDGED = {
+    "degrees": degrees,
+    "meshes": equal,
+    "grading": graded,
+    "end too near": short,
+    "end too far": far,
+}
+CASES = (rigid_limit, *(partial(judged, *of) for of in JUDGED.items()))
 SLOW = (CASES[2],)
 """A million cells take a minute."""

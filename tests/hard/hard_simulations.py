@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from hard_battery import Check, HardCase
+from hard_scenes import Check, HardCase
 
 from averaging.theory import Exact
 from cases.compare.compare import compare_densities

@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import hard_battery
 import hard_meshes
 import hard_scenes
 import hard_simulations
 import pytest
-from hard_battery import Check, HardCase
-from hard_scenes import plain_elements
+from hard_scenes import Check, HardCase, plain_elements
 from page import page_text
 
 from averaging.energy_process import energy_process
@@ -52,7 +50,7 @@ def test_hard_meshes_limits_and_simulations_hold(case):
 
 def test_a_wrong_density_is_noticed(monkeypatch):
     system = load_scene("stiff-stops").system
-    right = hard_battery.energy_density
+    right = hard_scenes.energy_density
 
     def wrong(system, solver, observable="H", **settings):
         answer = right(system, solver, observable, **settings)
@@ -60,23 +58,23 @@ def test_a_wrong_density_is_noticed(monkeypatch):
             return answer
         return replace(answer, pdf=lambda H: 1.001 * answer.pdf(H))
 
-    monkeypatch.setattr(hard_battery, "energy_density", wrong)
-    checks, _, _ = hard_battery.solver_checks(system, hard_battery.TOL)
+    monkeypatch.setattr(hard_scenes, "energy_density", wrong)
+    checks, _, _ = hard_scenes.solver_checks(system, hard_scenes.TOL)
     failing = [c.what for c in checks if not c.holds]
     assert failing == ["finite elements: true error within the stated one"]
 
 
 def test_an_error_that_does_not_fall_is_noticed(monkeypatch):
     system = load_scene("one-mass").system
-    closed = hard_battery.energy_density(system, "closed-form")
+    closed = hard_scenes.energy_density(system, "closed-form")
     shifted = replace(closed, pdf=lambda H: closed.pdf(H * 1.001))
-    assert hard_battery.refinement_check(system, closed).holds
-    assert not hard_battery.refinement_check(system, shifted).holds
+    assert hard_scenes.refinement_check(system, closed).holds
+    assert not hard_scenes.refinement_check(system, shifted).holds
 
 
 def test_plain_elements_solve_an_easy_case():
     system = System([1.0, 1.0], [1.0, 1.0], [0.08, 0.16], [0.01, 0.02])
-    closed = hard_battery.energy_density(system, "closed-form")
+    closed = hard_scenes.energy_density(system, "closed-form")
     error, minimum = plain_elements(energy_process(system), closed)
     # Cells of 0.02 energy scales: third order, (0.02)³ and a factor below one.
     assert error < 8e-6

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_densities import Q1, gaussian, histogram, uniform
+from made_answers import Q1, gaussian, histogram, uniform
 from scipy.special import ndtr
 
 import fpk

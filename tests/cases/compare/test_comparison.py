@@ -5,7 +5,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from made_densities import gaussian, histogram
+from made_answers import gaussian, histogram
 
 import fpk
 from cases.compare.attempts import LOOSEST, loosen_tolerance

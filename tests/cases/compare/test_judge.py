@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from wrong_methods import displaced
+from made_answers import displaced
 
 from averaging.integrable import Integrable
 from averaging.nonintegrable import NonIntegrable

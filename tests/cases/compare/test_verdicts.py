@@ -7,8 +7,8 @@ from typing import get_args
 import h5py
 import numpy as np
 import pytest
+from made_answers import Coarse, DisplacedAveraging, Interrupting, Shifted
 from systems import ONE_MASS
-from wrong_methods import Coarse, DisplacedAveraging, Interrupting, Shifted
 
 from averaging.nonintegrable import NonIntegrable
 from averaging.theory import Exact
