@@ -2,9 +2,11 @@
 
 import atexit
 import gc
+import os
 import sys
 import warnings
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from shutil import get_terminal_size
 from time import perf_counter
@@ -161,6 +163,7 @@ def run_app() -> None:
     atexit.register(gc.freeze)
     warnings.formatwarning = lambda message, *_: f"fpk: warning: {one_line(str(message))}\n"
     try:
+        import_extensions()
         # Outside standalone mode click hands usage errors over instead of printing four lines.
         sys.exit(app.main(prog_name="fpk", standalone_mode=False) or 0)
     except click.Abort as error:
@@ -184,6 +187,20 @@ def run_app() -> None:
         _fail(str(error), 1)
     except (BadInput, InvalidInput, NotApplicable, Unavailable) as error:
         _fail(str(error), 2)
+
+
+def import_extensions() -> None:
+    """Import the modules named in the environment variable ``FPK_IMPORT``, parted by commas.
+
+    They register laws, methods, questions, studies or formats of the user's own. Raises
+    ``BadInput`` with the error of a module that cannot be imported.
+    """
+    for name in filter(None, os.environ.get("FPK_IMPORT", "").split(",")):
+        try:
+            import_module(name)
+        except Exception as error:
+            kind = type(error).__name__
+            raise BadInput(f"FPK_IMPORT: {name} is not imported: {kind}: {error}") from error
 
 
 def _fail(message: str, status: int) -> None:

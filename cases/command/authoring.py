@@ -17,7 +17,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 @click.argument("name")
 @click.option("--masses", type=click.IntRange(1, 500), default=2, help="Default 2.")
 @click.option(
-    "--law", default="hertz", help="Contact law: hertz (the default), bilinear, power.",
+    "--law", default="hertz", help="Contact law, such as bilinear; hertz by default.",
     shell_complete=completed.laws,
 )  # fmt: skip
 @click.option("--out", type=parts.FOLDER, help="File to write; NAME.toml if left out.")

@@ -4,6 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from fpk.numeric.errors import InvalidInput
+
 ScalarLaw = Callable[[Any, float], Any]
 """Function of the overlap (>= 0) and the exponent, made of NumPy operations only: the averaging
 integrals call it with arrays, the compiled stepper with scalars."""
@@ -36,9 +40,10 @@ LAWS: dict[str, ContactLaw] = {}
 
 
 def register_law(law: ContactLaw) -> ContactLaw:
-    """Add ``law`` to the registry and return it; raises ``ValueError`` if its name is taken.
+    """Add ``law`` to the registry and return it.
 
-    An example::
+    Raises ``ValueError`` if its name is taken, and ``InvalidInput`` unless, for overlaps up to 4,
+    the energy is the integral of the force and the force the integral of the slope, to 1 %. ::
 
         register_law(
             ContactLaw(
@@ -50,5 +55,13 @@ def register_law(law: ContactLaw) -> ContactLaw:
     """
     if law.name in LAWS:
         raise ValueError(f"contact law {law.name!r} is registered already")
+    x = np.linspace(0.0, 4.0, 4001)  # trapezoids are right to 1e-3 beyond a kink, too
+    exponent = 1.5 if law.exponent is None else law.exponent
+    energy, force, slope = (f(x, exponent) + 0.0 * x for f in (law.energy, law.force, law.slope))
+    for whole, part, words in ((energy, force, "energy"), (force, slope, "force")):
+        integral = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (part[1:] + part[:-1])))
+        if not np.all(np.abs(whole - integral) <= 0.01 * integral + 1e-3 * integral[100]):
+            remedy = f"is no integral of the {'force' if words == 'energy' else 'slope'} from 0"
+            raise InvalidInput(f"{words} of the law {law.name!r}", whole[-1], f"at 4 {remedy}")
     LAWS[law.name] = law
     return law

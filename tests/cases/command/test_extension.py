@@ -26,7 +26,7 @@ from fpk.answer.method import ROUTES
 from fpk.answer.names import parse_observable
 from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.system.contact_law import LAWS
+from fpk.system.contact_law import LAWS, ContactLaw, register_law
 
 
 def executed(module):
@@ -147,6 +147,27 @@ def test_a_question_is_asked_on_the_command_line(question, free_path, fpk, answe
     err = refusal("increment", free_path, "--method", "exact", *asked[4:])
     assert "exact gives no variance of an increment; use one of linear" in err
     assert "a lag is a time" in refusal(*asked[:-1], "-1")
+
+
+def test_modules_named_in_the_environment_are_imported(refusal, monkeypatch):
+    sys.modules.pop("toy_study", None)
+    monkeypatch.setenv("FPK_IMPORT", "toy_study,that_is_not_there")
+    assert "FPK_IMPORT: that_is_not_there is not imported: ModuleNotFound" in refusal("list")
+    assert STUDIES.pop("trapezoid")
+
+
+@pytest.mark.parametrize(
+    ("energy", "slope", "words"),
+    [
+        (lambda x, e: x**3 / 2.0, lambda x, e: 2.0 * x, "energy of the law 'wrong' = 32.0"),
+        (lambda x, e: x**3 / 3.0, lambda x, e: 3.0 * x, "force of the law 'wrong' = 16.0"),
+    ],
+)
+def test_a_law_whose_parts_do_not_belong_together_is_refused(energy, slope, words):
+    law = ContactLaw("wrong", 2.0, force=lambda x, e: x * x, energy=energy, slope=slope)
+    with pytest.raises(InvalidInput, match=words):
+        register_law(law)
+    assert "wrong" not in LAWS
 
 
 @pytest.fixture(scope="module")
