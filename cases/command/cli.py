@@ -9,6 +9,8 @@ from typing import Any
 LINEAR_ALGEBRA = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "MKL", "OMP")}
 """Environment variables set unless the user has: one thread for linear algebra. Small matrices gain
 nothing from more, and if another program runs, these wait for each other."""
+leave = os._exit
+"""Ends the process with a status, whatever its threads do; a test in the process replaces it."""
 
 
 def main() -> None:
@@ -22,7 +24,7 @@ def main() -> None:
         run_app()
     except KeyboardInterrupt:
         sys.stderr.write("fpk: stopped; nothing half-written was left\n")
-        end(130)
+        end(130, at_once=True)
     except SystemExit as status:
         end(status.code)
 
@@ -33,10 +35,14 @@ def answer_interrupt(number: int, frame: FrameType | None) -> None:
     signal.default_int_handler(number, frame)
 
 
-def end(status: Any) -> None:
-    """Exit with ``status``, at once if a compilation that Ctrl-C has abandoned still runs."""
-    if getattr(sys.modules.get("fpk.numeric.compiling"), "abandoned", ()):
+def end(status: Any, *, at_once: bool = False) -> None:
+    """Exit with ``status``; ``at_once`` or beside an abandoned compilation without its threads.
+
+    Python would wait for every thread that is at work, such as a long solution of a sweep.
+    """
+    abandoned = getattr(sys.modules.get("fpk.numeric.compiling"), "abandoned", ())
+    if at_once or abandoned:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status or 0)
+        leave(status or 0)
     sys.exit(status)

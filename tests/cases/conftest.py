@@ -70,6 +70,7 @@ def fpk(monkeypatch, capsys):
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["fpk", *map(str, arguments)])
+        monkeypatch.setattr("cases.command.cli.leave", sys.exit)
         with pytest.raises(SystemExit) as end:
             main()
         captured = capsys.readouterr()

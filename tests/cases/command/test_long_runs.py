@@ -87,3 +87,19 @@ def test_a_density_and_a_map_are_the_same_on_a_cluster(fpk, tmp_path):
     ):  # fmt: skip
         there = both("--cluster", local.scheduler_address)
     assert there == both()
+
+
+def test_control_c_does_not_wait_for_threads_that_are_at_work():
+    code = (
+        "import signal, time\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from cases.command import app, cli\n"
+        "def run_app():\n"
+        "    ThreadPoolExecutor(1).submit(time.sleep, 600)\n"
+        "    signal.raise_signal(signal.SIGINT)\n"
+        "app.run_app = run_app\n"
+        "cli.main()\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (130, "fpk: stopped; nothing half-written was left\n")
