@@ -52,8 +52,11 @@ class DampingTerm:
         require(finite, "coefficient", self.coefficient, "must be a finite number")
         for key in ("q", "v"):
             powers: Powers = tuple(sorted(getattr(self, key)))
+            once = len(dict(powers)) == len(powers)
+            require(once, key, powers, "must name each mass once, with the sum of its powers")
             for mass, power in powers:
-                require(power >= 1, f"{key}.{mass}", power, "must be a power of 1 or more")
+                whole = power >= 1 and power == int(power)
+                require(whole, f"{key}.{mass}", power, "must be a whole power of 1 or more")
             object.__setattr__(self, key, powers)
         require(self.energy >= 0, "energy", self.energy, "must be a power of 0 or more")
         degree = sum(power for _, power in self.q + self.v) + 2 * self.energy

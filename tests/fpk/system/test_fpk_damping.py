@@ -50,6 +50,8 @@ def test_negative_damping_needs_a_term_that_takes_the_energy_out():
     ("wrong", "words"),
     [
         ({"q": ((1, 0),)}, "power of 1 or more"),
+        ({"q": ((1, 1.5),)}, "whole power"),
+        ({"v": ((1, 2), (1, 1))}, "each mass once"),
         ({"energy": -1}, "power of 0 or more"),
         ({"q": ((1, 9),)}, "degree"),
         ({"coefficient": np.nan}, "finite"),
