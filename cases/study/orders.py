@@ -46,7 +46,8 @@ class Convergence:
     """Observed orders of a sequence of errors, and the class of the sequence by them.
 
     ``orders`` are between consecutive levels above the floor, ``order`` the median of the last
-    three and ``spread`` half their range; ``theory`` None stands for exponential convergence.
+    three and ``spread`` half their range, NaN without ``orders``; ``theory`` None stands for
+    exponential convergence.
     """
 
     orders: tuple[float, ...]
@@ -64,9 +65,10 @@ def convergence(
     ``floor`` is the error below which the reference resolves nothing.
 
     "at the floor": an error is at most ``ABOVE_FLOOR`` times it. "diverging": the last error is
-    not below the first. "oscillating": errors rise between the last four levels. "asymptotic":
-    the last two orders are within ``NEAR_THEORY`` of ``theory``; if that is None (exponential
-    convergence), the rate does not drop by more than ``STEADY``. Else "pre-asymptotic".
+    not below the first, or some error is not finite. "oscillating": an error rises between two of
+    the last four levels. "asymptotic": the last two orders are within ``NEAR_THEORY`` of
+    ``theory``; if that is None (exponential convergence), the rate does not drop by more than
+    ``STEADY``. Else "pre-asymptotic".
     """
     low = np.flatnonzero(np.asarray(errors) <= ABOVE_FLOOR * floor)
     above = int(low[0]) if low.size else len(errors)
@@ -111,7 +113,8 @@ def grid_convergence(values: Sequence[float], *, theory: float, floor: float) ->
     F = 1.25 and p = ``theory`` if the observed order is within ``TRUSTED`` of it ("asymptotic");
     else F = 3 and p is the observed order, between 0.5 and theory (Oberkampf and Roy, Table 8.1).
     Differences that grow are "diverging"; differences that change sign, "oscillating", have no
-    order, and p = 0.5. If the last difference is within ``floor``, the index is 3 times the floor.
+    order, and p = 0.5. The index is at least the ``floor``, and 3 times it if the last difference
+    is within it.
     """
     coarse, fine = values[-3] - values[-2], values[-2] - values[-1]
     if abs(fine) <= floor:
@@ -125,4 +128,5 @@ def grid_convergence(values: Sequence[float], *, theory: float, floor: float) ->
     if isnan(observed):
         kind = "oscillating"
     step = fine / (2.0**used - 1.0)
-    return GridConvergence(values[-1] - step, observed, used, safety, safety * abs(step), kind)
+    index = max(safety * abs(step), floor)
+    return GridConvergence(values[-1] - step, observed, used, safety, index, kind)

@@ -77,6 +77,8 @@ def test_richardson_finds_the_limit_and_the_index_covers_it():
     swinging = grid_convergence([1.0, 0.9, 0.95], theory=2.0, floor=0.0)
     assert swinging.kind == "oscillating" and swinging.safety == 3.0
     assert grid_convergence([1.0] * 6, theory=2.0, floor=1e-15).kind == "at the floor"
+    # Differences that fall on are no sign that the error does: the reference resolves no more.
+    assert grid_convergence([1.0, 1e-4, 1e-8], theory=13.3, floor=9e-5).index == 9e-5
 
 
 @pytest.fixture(scope="module")
