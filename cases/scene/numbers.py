@@ -221,7 +221,7 @@ def _common_ratio(system: System) -> float | None:
     if not all(map(np.array_equal, matrices, map(np.diag, (c, d)))) or not np.all(d):
         return None
     ratios = c / d
-    return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12) else None
+    return float(ratios[0]) if np.allclose(ratios, ratios[0], rtol=1e-12, atol=0.0) else None
 
 
 def _words(value: Array) -> str:

@@ -80,13 +80,14 @@ def with_error(value: float | None, error: float | None) -> str:
     """Return ``0.1235 ± 1.3e−3``: at most six digits of ``value``, as its ``error`` allows.
 
     The error is rounded up to two digits, and left out if it is 0. A value below a tenth of its
-    error is shown as 0, and its modulus is added to the error. A dash if either is None; the error
-    must be finite.
+    error is shown as 0, and its modulus is added to the error. A dash if either is None.
     """
     if value is None or error is None:
         return "–"
     if error == 0.0:
         return f"{value:.6g}"
+    if not isfinite(error):
+        return f"{value:.6g} ± {error:g}"
     if abs(value) < 0.1 * error:
         value, error = 0.0, error + abs(value)
     last = floor(log10(error)) - 1
@@ -99,13 +100,14 @@ def concise(value: float | None, error: float | None) -> str:
     """Return ``value`` with its ``error`` in brackets, in units of the last digits: ``0.4123(5)``.
 
     No brackets if the error is below half a unit of the last of ``DIGITS`` digits; ``0(2e-10)`` for
-    a number within its error of zero, the error below ``SMALL``; a dash if either is None. The
-    error must be finite.
+    a number within its error of zero, the error below ``SMALL``; a dash if either is None.
     """
     if value is None or error is None:
         return "–"
     if error == 0.0:
         return f"{value:.{DIGITS}g}"
+    if not isfinite(error):
+        return f"{value:.{DIGITS}g}({error:g})"
     if abs(value) <= error < SMALL:
         return f"0({bound(error, 1)})"
     magnitude = floor(log10(max(abs(value), error)))

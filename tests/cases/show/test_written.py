@@ -24,6 +24,7 @@ from cases.show.study_page import Table, cell
         (3.25e9, 2e7, "3.25(2)e+09"),
         (-1.9e-5, 0.0018, "0.0000(18)"),  # no minus before a number that is shown as zero
         (0.5, None, "–"),
+        (0.5, np.inf, "0.5(inf)"),
     ],
 )
 def test_a_number_is_shown_with_its_error(value, error, text):
@@ -68,6 +69,7 @@ def test_digits_follow_the_error():
     assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e−12"
     assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
     assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12" and with_error(0.5, None) == "–"
+    assert with_error(0.5, np.inf) == "0.5 ± inf"
 
 
 def test_times_have_units_that_suit_them():
