@@ -110,7 +110,10 @@ def converge(
 
 @study
 @click.option(
-    "--simulate/--no-simulate", default=True, help="With the sampling routes, or without."
+    "--simulate/--no-simulate",
+    "--simulation/--no-simulation",
+    default=True,
+    help="With the sampling routes, or without.",
 )
 def cost(scene: "Scene", **settings: Any) -> Any:
     """Time every route whose answer agrees with the reference, and price each digit.
