@@ -34,7 +34,8 @@ class MonteCarlo(Settings, Method):
     a Dask scheduler; the answer depends on neither. ``checkpoint``: a folder where the state is
     saved at intervals and from which a later run continues. ``partial``: Ctrl-C ends the sampling,
     and the answer so far, not certified, is returned. ``allow_unstable``: accept a ``dt`` at or
-    above the stability limit; then nothing is certified. ::
+    above the stability limit; then nothing is certified. All questions but the stationary density
+    take the ``scheme`` exact_flow and no ``checkpoint``. ::
 
         fpk.solve(system, ["q2"], methods=[MonteCarlo(paths=4096, relaxations=40.0, seed=7)])
 
@@ -69,7 +70,7 @@ class MonteCarlo(Settings, Method):
 
     @answer
     def passage(self, asked: Asked) -> Passage:
-        """Return first passage of ``asked.limit``: moments of its time, failure rate, P(T > t)."""
+        """Return mean, variance, failure rate and P(T > t) of first passage of ``asked.limit``."""
         from sim.questions.passage import sample_passage
 
         return sample_passage(self, asked)
@@ -90,14 +91,14 @@ class MonteCarlo(Settings, Method):
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
-        """Return the two-sided spectrum of one q at angular frequencies ``asked.at``, by Welch."""
+        """Return the two-sided spectrum S of one q at ω = ``asked.at``; ∫ S dω is the variance."""
         from sim.questions.curves import sample_spectrum
 
         return sample_spectrum(self, asked)
 
     @answer
     def correlation(self, asked: Asked) -> Curve:
-        """Return the autocovariances of one q at the lags ``asked.at``, means of q(s) q(s + t)."""
+        """Return the autocovariances of one q, about its mean, at the lags ``asked.at``."""
         from sim.questions.curves import sample_correlation
 
         return sample_correlation(self, asked)
@@ -105,8 +106,9 @@ class MonteCarlo(Settings, Method):
     def refined(self) -> "MonteCarlo":
         """Return a new method with four times the sample, which halves the sampling error.
 
-        ``tol`` is halved. The step that is chosen for the system, not a ``dt``, is multiplied by
-        2**(−1/4), so that the bias of the default scheme halves, too.
+        ``time``, ``relaxations``, ``longest`` and ``seconds`` are four times as long; ``paths`` and
+        ``seed`` stay. ``tol`` is halved. The step that is chosen for the system, not a ``dt``, is
+        multiplied by 2**(−1/4), so that the bias of the default scheme halves, too.
         """
         return replace(
             self,

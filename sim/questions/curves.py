@@ -103,7 +103,10 @@ def curve_answer(
 
 
 def copy_displacements(trace: Array, samples: int, done: int, series: Array, row: int) -> None:
-    """Copy q of mass ``row``, samples ``done``… of ``trace``, to ``series`` (blocks, …, LANES)."""
+    """Copy q of mass ``row`` from ``trace`` to ``series`` (blocks, …, LANES); a ``Reader``.
+
+    These are the ``samples`` + 1 states from number ``done`` on.
+    """
     series[:, done : done + samples + 1] = trace[:, : samples + 1, row]
 
 
@@ -219,9 +222,10 @@ def add_fourier_sums(
 ) -> None:
     """Add w q cos and w q sin to ``sums`` (blocks, 6 · frequencies, LANES); a ``Reader``.
 
-    q of mass ``row`` from ``trace``, samples from ``done`` on; ``omega`` (frequencies,) in radians
-    per sample. The rows of a frequency are cos and sin of the Hann window over ``length`` samples,
-    of the window over its first half, and of the window over its second half.
+    q of mass ``row``: the states after the first of ``trace`` are the samples from ``done`` on of
+    the window, and samples beyond ``length`` do not count; ``omega`` (frequencies,) in radians per
+    sample. The rows of a frequency are cos and sin of the Hann window over ``length`` samples, of
+    the window over its first half, and of the window over its second half.
     """
     t = np.arange(done, min(done + samples, length))
     whole, part = (0.5 - 0.5 * np.cos(2.0 * pi * k * t / length) for k in (1, 2))
@@ -236,8 +240,9 @@ def sample_crossings(method: Settings, asked: Asked) -> Curve:
 
     Crossings by the noise within a step are not counted; their share is proportional to the step.
     The rate is extrapolated from dt and dt/2, by the same random numbers, and may be negative
-    within its error, which contains the whole difference and the spread of blocks. Trajectories are
-    ``time`` or ``RECORD_TIMES`` relaxation times long, and longer until ``tol`` is met.
+    within its error: the whole difference, the spread of blocks and the rate of a single crossing
+    in the whole sample, added in squares. Trajectories are ``time`` or ``RECORD_TIMES`` relaxation
+    times long, and longer until ``tol`` is met.
     """
     system, row, order = asked.system, asked.row, np.argsort(asked.at)
     dt, too_long = motion_step(method, system, Reach(), error=tolerance(asked.tol, method.tol))

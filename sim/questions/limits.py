@@ -19,7 +19,7 @@ from sim.step.schemes import SCHEMES, flow_covariance
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
-    """Return the energies that ``limit`` is on, of ``n`` masses; none for a displacement."""
+    """Return (H,), the limited modal energies of ``n`` masses by mode, or () for |q_i|."""
     if limit.kind == "q":
         return ()
     modes = [Coordinate("H", m) for m in range(n) if f"H{m + 1}" in limit.values]
@@ -36,7 +36,7 @@ def energies_at(system: System, limit: Limit) -> Array:
 
 
 def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
-    """Return flags (paths,) of states ``q``, ``p`` (paths, n) at or beyond ``limit``."""
+    """Return flags (paths,): True if ``q``, ``p`` (paths, n) is at or beyond ``limit``."""
     if limit.kind == "q":
         return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
@@ -70,6 +70,7 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     For H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise;
     for modal energies the same from rest, N the power into the mode. For |q_i| it is computed
     without stops, up to a factor 2 too small, and inf if longer than the shortest natural period.
+    For H and |q_i| it is inf, too, if the start is at or beyond the limit.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
     if limit.kind != "q":
@@ -153,12 +154,13 @@ def motion_step(
     error: float | None = None,
     too_long: float = TOO_LONG,
 ) -> tuple[float, list[str]]:
-    """Return the longer step of the two simulations of a motion, and words against it, if any.
+    """Return the longer step of the two simulations of a motion, and a list of words against it.
 
     ``reach``: energies and times of the motion; ``error``: allowed relative error of p, by default
-    paths^(−½). A user's ``dt`` beyond ``too_long`` times the longest step gives words. Raises
-    ``InvalidInput`` for an unstable step, a checkpoint, and any scheme but exact_flow, which alone
-    can repeat a motion at half the step; ``NotApplicable`` without noise.
+    paths^(−½). The list is empty unless ``dt`` exceeds ``too_long`` times the longest step. Raises
+    ``InvalidInput`` for an unstable step without ``allow_unstable``, a checkpoint, and any scheme
+    but exact_flow, which alone can repeat a motion at half the step; ``NotApplicable`` without
+    noise.
     """
     if method.scheme != "exact_flow":
         raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
@@ -191,7 +193,8 @@ def first_step(dt: float, times: Array, start: float = inf, factor: float = 1.0)
 def stages(first: float, dt: float, end: float, *, most: int) -> Iterator[tuple[float, int]]:
     """Yield pairs of a step and a number of such steps, at most ``most``, from time 0 to ``end``.
 
-    Steps double from ``first`` to ``dt``; each is at most the time so far / ``STEPS_SINCE_START``.
+    Steps double from ``first`` to ``dt``; a longer step than ``first`` is at most the time so far /
+    ``STEPS_SINCE_START``. The last step may go beyond ``end``.
     """
     now, step = 0.0, first
     while now < end * (1.0 - 1e-12):

@@ -41,7 +41,7 @@ the failure times that it writes: 0 of the finer simulation, 1 of the coarser.""
 
 
 def sample_passage(method: Settings, asked: Asked) -> Passage:
-    """Return the first passage of ``asked.limit`` by simulation at dt/2 and at dt.
+    """Return the first passage of ``asked.limit`` at dt/2; the change from dt is in the error.
 
     ``paths`` trajectories are simulated until all have failed, or until the ``horizon``; more
     rounds follow until ``asked.tol``, the relative error of the mean, or ``seconds``.
@@ -160,7 +160,8 @@ def estimates(time: Array, until: Array, times: Array, begin: float) -> Array:
 
     Paths fail at ``time`` (paths,), or are censored at ``until`` (paths,). P(T > t) by Kaplan and
     Meier (J. Amer. Stat. Assoc. 53, 1958, 457); beyond the last time it decays with the failure
-    rate, failures over time at risk. Moments are ∫ P dt and ∫ 2 t P dt, inf if ``begin`` is inf.
+    rate, failures over time at risk (NaN if that time is 0), or is constant if the rate is not > 0.
+    Moments are ∫ P dt and ∫ 2 t P dt, inf if ``begin`` is inf.
     """
     seen = np.minimum(time, until)
     order = np.argsort(seen, kind="stable")
@@ -257,8 +258,9 @@ def passage_of(
     ``step``: the first step of the coarser simulation; errors are inf if half of the failures come
     within a few of them. After the time ``memory``, or when half have failed, a trajectory no
     longer depends on its start: if the simulation is shorter and some trajectories live, moments,
-    rate and later P(T > t) are not known. ``failures``: words against certification. Raises
-    ``InvalidInput`` if all trajectories start beyond the limit.
+    rate and later P(T > t) are not known. Without a failure, unless the noise ends, the mean is the
+    mean time simulated, its error inf, and the rate 0, its error the 95 % bound. ``failures``:
+    words against certification. Raises ``InvalidInput`` if all trajectories start beyond the limit.
     """
     times, (settled, _) = asked.times, noise_times(asked.system.modulation)
     (fine, _, until), failed = sampled, sampled[0] <= sampled[2]

@@ -241,7 +241,10 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
 def spread_of(
     modulation: Modulation | None, dt: float, done: int, samples: int, begin: float = 0.0
 ) -> Array:
-    """Return ∫e² dt over each of ``samples`` steps ``dt``, after ``done`` steps from ``begin``."""
+    """Return ∫e² dt over each of ``samples`` steps ``dt``, after ``done`` steps from ``begin``.
+
+    It is > 0 even if e = 0. The array (samples,) is cached: do not change it.
+    """
     if modulation is None:
         return np.full(samples, dt)
     begins = begin + dt * np.arange(done, done + samples, dtype=float)

@@ -106,9 +106,10 @@ def initial_states(
 ) -> tuple[Array, Array]:
     """Return q and p (``paths``, n) at time 0 of round ``number`` of a ``seed``.
 
+    A state is copied; an energy is drawn ``on_shell``; modal energies have random phases.
     Stationary states, under the noise that the ``start`` names, are burnt in for ``burn_in``
     relaxation times, if the ``watch`` allows (``Watch.required``). Raises ``NotApplicable`` if
-    there is no stationary state.
+    there is no stationary state, and as ``on_shell`` does.
     """
     n, stream = system.n, stream_of(seed, number)
     if start.kind == "energy" and not start.rest:
@@ -157,10 +158,11 @@ def motions(
     many: tuple[int, ...] = (2, 1),
     begin: Callable[[], Callable[[float], bool]] = lambda: lambda share: False,
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield at each of ``times`` the states ``seen(ensemble)`` of motions from ``start``.
+    """Yield at each of the ascending ``times`` the tuple of ``seen(ensemble)`` of all motions.
 
     There is a motion for each number in ``many``, of so many steps for each step ``dt``; if ``dt``
-    is inf, one step leads from time to time. ``begun(dt=, halved=)`` returns an ensemble at time 0.
+    is inf, one step leads from time to time. At time 0 ``start`` itself is yielded in place of
+    ``seen(ensemble)``. ``begun(dt=, halved=)`` returns an ensemble at time 0.
     ``begin()`` is called first; the function that it returns is called with the share of the time
     that is done, and ends the motions if it returns True.
     """

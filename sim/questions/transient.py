@@ -26,10 +26,11 @@ from sim.step.step_size import loudest
 
 
 def sample_transient(method: Settings, asked: Asked) -> Transient:
-    """Return the densities of ``asked.observable`` by steps dt and dt/2, same random numbers.
+    """Return the densities of ``asked.observable`` at dt/2; the change from dt is in the error.
 
-    ``asked.tol`` is the expected L1 error at every time; without it and ``seconds`` eight rounds of
-    ``paths`` trajectories are made.
+    Both steps use the same random numbers; without stops, damping terms and modulation a single,
+    exact step is made. ``asked.tol`` is the expected L1 error at every time; without it and
+    ``seconds`` eight rounds of ``paths`` trajectories are made.
     """
     system, observable, start = asked.system, asked.observable, asked.start
     times, modulation = require_times(asked.times), system.modulation

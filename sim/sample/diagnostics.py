@@ -112,8 +112,8 @@ class Diagnosis:
     ``autocorrelation_time`` τ, in the system's unit of time, is the longest of all quantities, and
     ``slowest`` the name of this quantity, which has ``effective_samples``, known to a
     ``relative_error``. Each trajectory is sampled for ``times_per_path`` τ. ``r_hat`` is the
-    largest split R-hat, ``drift`` the largest |z| of ``drifts``, and ``drift_limit`` its largest
-    value by chance.
+    largest split R-hat (NaN for fewer than four chunks), ``drift`` the largest |z| of ``drifts``
+    (0 for a single chunk), and ``drift_limit`` its largest value by chance.
     """
 
     autocorrelation_time: float
@@ -153,7 +153,7 @@ def effective_of_shares(shares: Array) -> tuple[float, float]:
 
 
 def variance_error(samples: Array) -> Array:
-    """Return √((kurtosis − 1)/N), relative error of the variance of ``samples`` (…, N), or 0."""
+    """Return √((kurtosis − 1)/N), relative error of the variance of N ``samples``; 0 if equal."""
     away = samples - samples.mean(axis=-1, keepdims=True)
     size = np.max(np.abs(away), axis=-1, keepdims=True)
     # In units of the largest deviation, so that no fourth power overflows.
@@ -168,7 +168,8 @@ def split_r_hat(draws: Array) -> float:
     """Return the split R-hat of ``draws`` (chains, draws); NaN for fewer than four in a chain.
 
     Each chain is divided into halves of n draws: ``R = √((n − 1)/n + B/(n W))``, W the mean of the
-    variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4).
+    variances, B n times the variance of the means (Gelman et al., BDA3, section 11.4). If W is 0,
+    R is 1 for equal means, else inf. The middle draw of an odd number is left out.
     """
     half = draws.shape[1] // 2
     if half < 2:
@@ -298,7 +299,11 @@ class Report:
     step_biases: Mapping[str, Number] = field(default_factory=dict)
 
     def settings(self, densities: Sequence[AnyDensity]) -> dict[str, str | float | int]:
-        """Return report and L1 errors of ``densities`` in one dictionary, by names in tables."""
+        """Return report and L1 errors of ``densities`` in one dictionary, by names in tables.
+
+        Keys are the fields before ``diagnosis`` whose words are not empty, and words such as
+        "r_hat", "sampling error of q2", "E q2²" and "step bias of E q2²", if there are any.
+        """
         of_run = takewhile(lambda f: f.name != "diagnosis", fields(self))
         settings = {f.name: own for f in of_run if (own := getattr(self, f.name)) != ""}
         if self.interrupted:

@@ -273,7 +273,7 @@ class Ensemble:
         return lanes[:n, :paths].T, lanes[n:, :paths].T
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return states, sums, counts and clock for ``restore``, as arrays by name, not copied."""
+        """Return the arrays "states", "sums", "counts" and "clock" for ``restore``, not copied."""
         clock = np.array([self.done, self.samples, self.phase], dtype=np.int64)
         return {"states": self.states, "sums": self.sums, "counts": self.counts, "clock": clock}
 

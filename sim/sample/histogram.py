@@ -74,9 +74,10 @@ def bin_axis(
 ) -> BinAxis:  # fmt: skip
     """Return about ``bins`` bins from ``low`` to ``high``, equally many between any two ``kinks``.
 
-    Kinks outside [``low``, ``high``) are ignored. ``widening``: above a kink bins widen (see
-    ``BinAxis``), since p may have a root there: (H − H_c)^(1/2) if contact begins, H^(−1/4) for a
-    stop without clearance, H^(−1/2) after a start at rest. ``reference``: ln r of ``BinAxis``.
+    The number between two is 32 or more. Kinks outside [``low``, ``high``) are ignored.
+    ``widening``: above a kink bins widen (see ``BinAxis``), since p may have a root there: (H −
+    H_c)^(1/2) if contact begins, H^(−1/4) for a stop without clearance, H^(−1/2) after a start at
+    rest. ``reference``: ln r of ``BinAxis``.
     """
     inside = list[float]()
     for kink in sorted(k for k in kinks if low <= k < high):
@@ -153,7 +154,7 @@ def axis_of(
 
 
 def extremes(system: System, observables: Sequence[Observable], q: Array, p: Array) -> Array:
-    """Return the extremes (coordinates, 2) of ``observables`` over ``q``, ``p`` (samples, n)."""
+    """Return minima, maxima (coordinates, 2) of ``observables`` over ``q``, ``p`` (samples, n)."""
     # The rounding of sums over masses depends on the layout in memory.
     q, p = np.ascontiguousarray(q), np.ascontiguousarray(p)
     values = [values_of(system, c, q, p) for observable in observables for c in observable]
@@ -170,7 +171,11 @@ def values_of(system: System, coordinate: Coordinate, q: Array, p: Array) -> Arr
 
 
 def rises(energies: Array) -> bool:
-    """Return whether the lowest of ``energies`` (samples,) crowd towards 0: see ``SHARE``."""
+    """Return whether the lowest of ``energies`` (samples,) crowd towards 0: see ``SHARE``.
+
+    Besides the lowest ``LOWEST``, 4, 16, … times as many are tested, up to a quarter of all
+    samples. False for fewer than 4 ``LOWEST`` samples.
+    """
     x, count = np.sort(energies), LOWEST
     while 4 * count <= x.size:
         if np.count_nonzero(x < 0.25 * x[count]) > SHARE * count:

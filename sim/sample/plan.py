@@ -141,7 +141,7 @@ class Setup:
 
     @cached_property
     def stride(self) -> int:
-        """Steps from one sample to the next."""
+        """Steps from one sample to the next, 1 or more."""
         return max(1, round(sampling_interval(self.system) / self.dt))
 
     @cached_property

@@ -118,9 +118,10 @@ def require_stationary(system: System) -> None:
 def default_step(method: Settings, system: System, observables: Sequence[Observable] = ()) -> float:
     """Return the step whose bias is a third of the sampling error that the run will reach.
 
-    This error follows from ``tol``, from the samples in ``seconds`` of wall time on ``threads``
-    (with a checkpoint, which may be continued elsewhere, in an hour on one thread), or from the
-    sampled time. ``observables``: see ``step_for``. ``dt`` and ``step_factor`` are ignored.
+    This error is ``tol`` or, if None, follows from the samples in ``seconds`` of wall time on
+    ``threads`` (with a checkpoint, which may be continued elsewhere, in an hour on one thread) or,
+    if None, in the sampled time. ``observables``: see ``step_for``. ``dt`` and ``step_factor`` are
+    ignored.
     """
     if method.tol is not None:
         return step_for(system, method.tol, observables=observables)

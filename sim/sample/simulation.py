@@ -88,7 +88,7 @@ class Record:
         self.variances.append(np.array(spread))
 
     def chunk_ends(self) -> None:
-        """Append the ensemble's sums and counts to ``ends``; choose ``cuts`` at the first call."""
+        """Append sums and counts to ``ends``; the first call sets ``cuts``, ``chunk_samples``."""
         ensemble, below, folds = self.ensemble, list[Integers](), iter(self.folds)
         for histogram, counts in ensemble.counted():
             own = counts[:, :-1].reshape(-1, *histogram.shape)
@@ -137,7 +137,7 @@ class Record:
         }
 
     def saved(self) -> dict[str, NDArray[Any]]:
-        """Return all fields except the ensemble as arrays by name, for ``restore``."""
+        """Return all fields but the ensemble as arrays, by names such as "record_chunks"."""
         return {f"record_{f.name}": np.array(getattr(self, f.name)) for f in fields(self)[1:]}
 
     def restore(self, saved: Any) -> None:

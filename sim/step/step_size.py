@@ -50,7 +50,7 @@ JOINT_BIAS = 0.1
 gives (sup |B₂|/2) max(u² e^(−u²/4)) = 0.12, B₂ Bernoulli's polynomial, v = u √(kT/m)."""
 
 CHANCE = exp(-100.0)
-"""Probability that the energy of a stable trajectory exceeds ``largest_reached``. Even if a density
+"""Probability that a state of a stable trajectory exceeds ``largest_reached``. Even if a density
 that is not Gibbs' falls by e^−30 only, none of 1e13 states exceeds it by chance."""
 
 STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8

@@ -36,7 +36,7 @@ Starts = Callable[[int, Generator], Array]
 """``starts(paths, stream)`` returns energies (paths, d) at time 0, drawn from the stream."""
 
 GROUP = 4
-"""Blocks of paths that share a stream of random numbers and make one task of a thread."""
+"""Number of blocks of ``LANES`` paths that share a random stream and make one task of a thread."""
 
 MOST_DRAWS = 3e7
 """Largest number of random numbers of a passage without a wall time: about 20 s on one core."""
@@ -71,7 +71,10 @@ class EnergyEnsemble:
         return self.begin + self.done * self.dt
 
     def advance(self, steps: int, *arrays: Array, read: Reader | None = None, **_: Any) -> None:
-        """Advance by ``steps``; ``read`` gets the first and all later states, and ``arrays``."""
+        """Advance X by ``steps``; ``read`` gets X before and after every step, and ``arrays``.
+
+        It is called once for each ``GROUP`` of blocks. Other keywords have no effect.
+        """
 
         def advance_group(group: int) -> Array:
             stream, first = self.streams[group], self.X[group * GROUP * LANES :][: GROUP * LANES]
@@ -89,7 +92,7 @@ class EnergyEnsemble:
         self.done += steps
 
     def onward(self, dt: float) -> "EnergyEnsemble":
-        """Return a new ensemble that continues from the last state in steps of ``dt``."""
+        """Return a new ensemble from the last state on in steps ``dt``, with the same streams."""
         return replace(self, dt=dt, begin=self.time)
 
     def keep(self, lanes: Integers) -> None:
@@ -113,13 +116,14 @@ def simulate_energies(
     failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
-    """Return sampled densities of energies H_i, of pairs of them and of H = Σ H_i, certified.
+    """Return a sampled density for each of ``observables``: H_i, pairs of them, or H = Σ H_i.
 
     ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
-    whose last states give the ranges of the histograms, or at most for ``seconds`` of wall time.
-    ``tol``, tolerance of the expected L1 error, decides on certification only. ``threads`` do not
-    change the numbers of a ``seed``. Raises ``InvalidInput`` if ``paths`` is no multiple of
-    ``MAX_BATCHES``, or less than four times as large.
+    whose last states give the ranges of the histograms, or at most for ``seconds`` of wall time,
+    burn-in included: if they end in the burn-in, one sample is taken and nothing is certified.
+    ``tol``, tolerance of the expected L1 error, decides on certification only; ``failures`` are
+    words against it. ``threads`` do not change the numbers of a ``seed``. Raises ``InvalidInput``
+    if ``paths`` is no multiple of ``MAX_BATCHES``, or less than four times as large.
     """
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
         many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
@@ -201,9 +205,9 @@ def energy_passage(
     """Return the first passage of any of ``limits`` in steps of dt/2, and of ``dt`` for comparison.
 
     Limits: weights (limits, d) · X reach values (limits,). Exact steps (``form.damping`` None) are
-    made once and read at both steps; else each step has its own paths. ``paths`` are simulated for
-    ``MOST_DRAWS`` or ``seconds``; ``tol``: relative error of the mean; ``memory``: see
-    ``passage_of``.
+    made once and read at both steps; else each step has its own paths. ``dt`` is shortened if the
+    noise fills a limit soon. ``paths`` are simulated for ``MOST_DRAWS`` or ``seconds``; ``tol``,
+    the relative error of the mean, decides on certification only. ``memory``: see ``passage_of``.
     """
     exact, modulation = form.damping is None, asked.system.modulation
     own = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS)

@@ -166,14 +166,14 @@ def square_root_step(
     modulation: Modulation | None = None,
     begin: float = 0.0,
 ) -> Array:
-    """Return X (paths, d) after a step ``dt``, drawn from ``stream``; it stays positive.
+    """Return X (paths, d) after a step ``dt``, drawn from ``stream``; it is never < 0.
 
     Strang splitting of weak order two: half a step of the nonlinear damping, ``dX = −(γ(X) − γ₀) X
     dt``, by an exponential midpoint rule, an exact step of the rest, and the other half. The exact
     step is X(t) = k χ'², k = β (1 − e^{−γ₀t})/(4γ₀), χ'² noncentral chi-square with 4 d/β degrees
     of freedom and noncentrality X e^{−γ₀t}/k. With modulated noise e, from the time ``begin`` on,
     (1 − e^{−γ₀t})/γ₀ is replaced by ∫e(s)² e^{−γ₀(t−s)} ds, and γ is taken for the mean of e².
-    Raises ``NotCertified`` if the step is unstable.
+    Raises ``NotCertified`` if X is not finite after a step with noise.
     """
     factor = 1.0 if modulation is None else float(modulation.mean_square(np.array(begin), dt))
     form = form if modulation is None else form.under(factor)

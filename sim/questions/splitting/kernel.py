@@ -66,7 +66,8 @@ def score_tables(
 
     x = column/columns is the share of the limit, where the coordinate has the energy
     ``energies[i](x)``; (row/rows)² is the remaining share of ``time``. The level is 0 at energy 0
-    with the whole time, and nowhere falls with the energy or with the remaining time.
+    with the whole time, and nowhere falls with the energy or with the remaining time. If the score
+    there is not finite and < 0, the level is proportional to x at any time.
     """
     left, tables = time * (np.arange(1, ROWS + 1) / ROWS) ** 2, []
     shares = np.maximum(np.arange(COLUMNS), 0.5) / COLUMNS  # ½ in place of 0

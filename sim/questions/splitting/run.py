@@ -50,9 +50,9 @@ class Splitting:
 
     A repetition has ``replicas`` paths, of which each level kills ``killed`` or more.
     ``repetitions`` are made at the step dt and as many at dt/2; with ``tol`` this is repeated until
-    the relative error is ``tol``, at most for ``seconds`` of wall time. ``dt`` None: a step chosen
-    for the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``: see ``MonteCarlo``;
-    the numbers do not depend on them.
+    the relative error is ``tol`` or less, at most for ``seconds`` of wall time. ``dt`` None: a step
+    chosen for the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``: see
+    ``MonteCarlo``; the numbers do not depend on them.
 
     A small one::
 
@@ -204,9 +204,9 @@ def rare_failure(
 
         rare_failure(system, parse_limit("H=4", system.n), REST, 10.0)
 
-    Raises ``InvalidInput`` for a start at or beyond the limit or a time that is not finite and > 0,
-    ``NotApplicable`` without noise, ``NotCertified`` if ``seconds`` or Ctrl-C leave too few
-    repetitions.
+    Raises ``InvalidInput`` for a start at or beyond the limit, a time that is not finite and > 0,
+    or a ``score`` for several limits; ``NotApplicable`` without noise or with modulated noise;
+    ``NotCertified`` if ``seconds`` or Ctrl-C leave fewer than ``LEAST_REPETITIONS`` repetitions.
     """
     own = settings or Splitting()
     if not (isfinite(time) and time > 0.0):
