@@ -76,7 +76,7 @@ class Piecewise:
 
     def __call__(self, x: ArrayLike, *, log_factor: ArrayLike = 0.0) -> Array:
         """Return f(x) exp(``log_factor``), of the shape of ``x`` followed by the shape of a value.
-        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is without it, also at NaN."""
+        ``log_factor`` is 0 or has the shape of ``x``; ``outside`` is without it. NaN at NaN."""
         at, shape = np.asarray(x, dtype=float), self.coefficients.shape
         k, t, inside = panels_at(self.nodes, at.ravel())
         series = np.ascontiguousarray(self.coefficients).reshape(*shape[:2], -1)
@@ -85,7 +85,8 @@ class Piecewise:
         exponent = 0.0 if self.log_scale is None else self.log_scale[k]
         if np.any(exponent := exponent + np.asarray(log_factor, dtype=float).ravel()):
             value *= np.exp(exponent)[:, None]
-        value[~inside] = self.outside
+        beyond = at.ravel()[~inside, None]
+        value[~inside] = np.where(np.isnan(beyond), np.nan, self.outside)
         return value.reshape((*at.shape, *shape[2:]))
 
     def antiderivative(self) -> "Piecewise":

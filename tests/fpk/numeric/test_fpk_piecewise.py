@@ -58,6 +58,7 @@ def test_scales_reach_beyond_double_precision():
 
 def test_outside_its_nodes_it_is_what_it_is_said_to_be():
     f = fit(np.cos, NODES, 1e-12)
+    assert np.isnan(f(np.nan))
     assert np.array_equal(f([-0.1, 6.1]), [0.0, 0.0])
     logarithm = Piecewise(f.nodes, f.coefficients, outside=-np.inf)
     assert np.array_equal(np.exp(logarithm(np.array([-0.1, 6.1]))), [0.0, 0.0])
