@@ -199,7 +199,8 @@ def simulate(setup: Setup, *, workers: Any = None, progress: Progress = silent) 
     """Return the result of sampling the stationary state of Eq. (6) by ``setup``.
 
     It continues from the checkpoint of this ``setup``, if there is one. ``workers`` None: one
-    thread of this process.
+    thread of this process. Raises ``Unavailable`` if the checkpoint is in use, is damaged or cannot
+    be written.
     """
     method, cut, checkpoint = setup.method, "", setup.checkpoint()
     products = diagnostics.moment_products(setup.system.n, terms=bool(setup.system.damping_terms))

@@ -60,7 +60,8 @@ STEP_SECONDS, SAMPLE_SECONDS = 5e-9, 4e-8
 def temperature(system: System) -> float:
     """Return kT = Σ(N_ii/m_i) / Σ(c_ii/m_i), N = f D fᵀ; inf without damping.
 
-    With damping terms it is the ``equivalent_temperature``.
+    With damping terms it is the ``equivalent_temperature``; raises ``NotApplicable`` then without
+    noise, and if damping never balances it.
     """
     if system.damping_terms:
         return equivalent_temperature(system)
@@ -76,7 +77,8 @@ def contact_frequency(
 
     With ``springs`` it is √((g' + K_ii)/m_i). A mass that moves alone, the others following
     statically, has the potential ``½ k_eff q² + U(q)``. It is taken to reach the largest of
-    ``REACHED`` kT, of one kT of contact energy, and of ``energy``. ``kT`` None: ``temperature``.
+    ``REACHED`` kT, of one kT of contact energy, and of ``energy``. ``kT`` None: ``temperature``; an
+    infinite kT counts as 0.
     """
     square, kT = 0.0, temperature(system) if kT is None else kT
     kT = kT if isfinite(kT) else 0.0  # undamped motion: ``energy`` alone counts
@@ -201,7 +203,7 @@ def relaxation_time(system: System) -> float:
     P_m(θ)``, S_m the power of the noise and P_m the power lost to damping; the eigenvalues of ∂P/∂θ
     in equilibrium are decay rates of energies. An equal temperature of all modes gives a second
     estimate, 2n/P'(θ); the longer time is returned. Passages between coexisting states take longer.
-    Raises ``NotApplicable`` with damping terms that never balance the noise.
+    Raises ``NotApplicable`` with damping terms if there is no noise or they never balance it.
     """
     if not system.damping_terms:
         return decay_time(system)

@@ -221,7 +221,8 @@ def repetition(
 ) -> tuple[int, int, tuple[float, int, int, int]]:
     """Return ``number``, ``fine`` and the result of this repetition at the step dt / 2**``fine``.
 
-    The result is the three numbers of ``split``, ended after ``seconds``, and the number of steps.
+    The result is the three numbers of ``split``, whose ln P is NaN if ``seconds`` of wall time did
+    not suffice, and the number of steps that were computed.
     """
     until, stream = working_time() + seconds, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
