@@ -39,8 +39,10 @@ class Theory(Method):
     ``solver`` is the name of the solver, ``tol`` the largest L1 error of a density; None stands for
     the tolerance of ``tol_for``. A subclass defines ``method``, its name on the command line, its
     ``colour`` in pictures and its ``solvers``, the default first, as (name, words for legends,
-    equation); each solver is a route. Raises ``InvalidInput`` for an unknown solver, or a tolerance
-    below ``SMALLEST`` or above ``LARGEST``.
+    equation); also the default of ``solver`` if that is not "closed-form", and ``solves``
+    "averaged" if its equation is not Eq. (6) itself. ``register`` adds a route for each solver.
+    Raises ``InvalidInput`` for an unknown solver, or a tolerance below ``SMALLEST`` or above
+    ``LARGEST``.
     """
 
     solver: str = "closed-form"

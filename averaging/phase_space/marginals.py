@@ -14,8 +14,8 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_RULES
 
 AXIS_PANELS = {1: 16, 2: 10}
-"""Panels of an axis, by the number of axes. The contact displacement has instead half of the first
-number on each panel of the basis."""
+"""Panels of an axis of a marginal density, by the number of its axes. The contact displacement has
+instead half of the first number on each panel of the basis."""
 POINTS_PER_WIDTH = 4.0
 """Gauss points per conditional standard deviation of the contact displacement, beside a point for
 each degree: 137 points integrate a Gaussian over 34 standard deviations to round-off."""
@@ -87,7 +87,10 @@ def _marginal_density(
     coefficients, scale = _projections(e, directions), float(np.prod(np.diag(L)))
 
     def given(y: Array) -> Array:
-        """Return w(``y``) times the coefficients of the polynomials in t, (orders, points)."""
+        """Return w(``y``) times the coefficients of the polynomials in t.
+
+        They are (orders, points), or (orders, orders, points) for two linear forms.
+        """
         values, _ = b.functions(y)
         return np.asarray(coefficients @ values.T * b.density(y))
 

@@ -243,9 +243,10 @@ class PartitionLines:
     def _transforms(
         self, system: System, beta: Complexes, grids: Sequence[tuple[Array, Array]]
     ) -> Complexes:
-        """Return R and R times the mean damping powers, (rows, points), at equidistant ``beta``.
+        """Return R, and for each group of ``parts`` R β^(order/2) times its mean power without H^e.
 
-        ``grids`` are displacements and weights (points,) of each contact mass of ``system``.
+        They are (1 + groups, beta.size) at equidistant ``beta``. ``grids`` are displacements and
+        weights, (q,) each, of each contact mass of ``system``.
         """
         parts, masses = system.fact(parts_of), system.contact_masses
         both = np.vstack([np.zeros((1, len(masses)), dtype=np.int64), parts.powers])

@@ -159,7 +159,7 @@ class AveragedSimulation(Method):
         return (line_form if self.theory == "nonintegrable" else square_root_form)(process)
 
     def limits(self, form: Any, limit: Limit) -> tuple[Array, Array]:
-        """Return weights (limits, d) and values (limits,): passed if ``weights @ X >= values``.
+        """Return weights (limits, d) and values (limits,): passed if any ``weights @ X >= values``.
 
         X (d,) are the modal energies, or for energy averaging the transform of H by ``form``.
         Raises ``NotApplicable`` for a kind of limit that the theory does not have.

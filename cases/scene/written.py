@@ -85,9 +85,9 @@ def with_error(value: float | None, error: float | None) -> str:
     if value is None or error is None:
         return "–"
     if error == 0.0:
-        return f"{value:.6g}"
+        return f"{value:.6g}".replace("-", "−")
     if not isfinite(error):
-        return f"{value:.6g} ± {error:g}"
+        return f"{value:.6g} ± {error:g}".replace("-", "−")
     if abs(value) < 0.1 * error:
         value, error = 0.0, error + abs(value)
     last = floor(log10(error)) - 1

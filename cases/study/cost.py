@@ -244,7 +244,11 @@ def equation_routes(
 
 
 def _time_levels(equation: Equation, first: Discretisation) -> Iterator[Level]:
-    """Yield the levels of a route with their times, until one takes longer than ``SLOW_SOLVE``."""
+    """Yield the levels of a route with their times, at most those of ``Equation.study``.
+
+    The last is the first whose solution takes more than ``SLOW_SOLVE`` of processor time. Levels
+    that are not ``sound`` have the time of their one solution. Raises as ``Study.levels``.
+    """
     _, compiling = time_call(first.solve)  # the levels themselves are timed warm
     for setting, level in equation.study(first, TOLERANCE_DIGITS // STRIDE).levels():
         timed = timing(setting.solve, level.seconds, equation.clock) if level.sound else {}

@@ -176,8 +176,10 @@ class PiecewiseTensor:
     coefficients: Array
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Return f at ``x``, ``y``, in the shape to which they broadcast; the axes (m, 1) and (n,)
-        of a grid take less work."""
+        """Return f at ``x``, ``y``, in the shape to which they broadcast; NaN at NaN.
+
+        The axes (m, 1) and (n,) of a grid take less work.
+        """
         a, b = np.asarray(x, float), np.asarray(y, float)
         if a.ndim == 2 and a.shape[1] == 1 and b.ndim <= 2 and b.shape[-1:] == (b.size,):
             return self.on_grid(a.ravel(), b.ravel())

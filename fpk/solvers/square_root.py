@@ -100,8 +100,10 @@ class SquareRoot:
         return p, np.where(H >= 0.0, p * log_error + SMALLEST, 0.0)
 
     def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
-        """Return the L1 error of ``density`` at time ``t``, |∫p − 1| and −min p/max p, by
-        quadrature. For ``start`` and ``noise`` see ``transient``."""
+        """Return the integrated error that ``density`` states at ``t``, |∫p − 1|, −min p/max p.
+
+        All three are by quadrature. For ``start`` and ``noise`` see ``transient``.
+        """
         theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
         # Beyond the mean p falls by e in each standard deviation at least.
@@ -190,7 +192,8 @@ class SquareRoot:
     ) -> tuple[Array, Array]:
         """Return P(T <= t) at ``times`` by the inverse Laplace transform, and its absolute error.
 
-        ``limit`` and ``start`` are energies. At short times, at which the transform cancels, 0 is
+        ``limit`` and ``start`` below it are energies; the noise is constant, whatever the
+        ``modulation``. At short times, at which the transform cancels, 0 is
         returned with Chernoff's bound e^(st) E e^(−sT) as its error; at t <= 0 both are 0. Raises
         ``NotApplicable`` if an error exceeds ``tol``.
         """

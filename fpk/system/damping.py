@@ -91,7 +91,10 @@ class DampingTerm:
         return self.degree - 2 * self.energy + 2
 
     def velocities(self, n: int) -> tuple[int, ...]:
-        """Return the exponents (n,) of all velocities in the dissipated power c_ij v_i v_j."""
+        """Return the exponents (n,) of all velocities in the dissipated power c_ij v_i v_j.
+
+        They include the velocities in this term of c_ij; ``n`` is the number of masses.
+        """
         own = (self.row, self.column)
         return tuple(power + own.count(k) for k, power in enumerate(self.powers("v", n)))
 

@@ -141,9 +141,10 @@ def effective_of_paths(means: Array, variance: Array, relative_error: Array) -> 
 
 
 def effective_of_shares(shares: Array) -> tuple[float, float]:
-    """Return the effective samples of one quantity, and their relative error.
+    """Return the effective samples of one quantity in all batches, and their relative error.
 
-    ``shares`` (batches, levels): shares of samples below fixed levels. inf if they do not vary.
+    ``shares`` (batches, levels) of samples are below fixed levels, in two or more batches of equal
+    size. The effective samples are inf if no share varies.
     """
     # n samples have variances of sum Σ s(1 − s)/n. Levels are correlated: the error is for one.
     batches, s = shares.shape[0], shares.mean(axis=0)

@@ -45,12 +45,16 @@ def program_checksum(root: Path = ROOT) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Workers:
-    """An executor with ``threads``; one piece of a simulation takes about ``piece`` seconds."""
+    """An executor with ``threads``; one piece of a simulation takes about ``piece`` seconds.
+
+    ``remote_errors`` are raised if a cluster is lost, and become ``NotCertified``; none for threads
+    of this process.
+    """
 
     executor: Executor
     threads: int
     piece: float = 0.25 * INTERVAL
-    remote_errors: tuple[type[Exception], ...] = ()  # of a lost cluster, raised as ``NotCertified``
+    remote_errors: tuple[type[Exception], ...] = ()
 
     def map(self, task: Callable[..., Any], *columns: Iterable[Any]) -> list[Any]:
         """Return the results of ``task(*row)`` for each row of ``columns``, in their order.
@@ -63,7 +67,10 @@ class Workers:
         return list(self._unless_lost(self.executor.map(lambda row: task(*own(row)), rows)))
 
     def as_finished(self, tasks: Sequence[Callable[[], Any]]) -> Iterator[Any]:
-        """Return the results of ``tasks`` without arguments, in the order in which they finish."""
+        """Submit ``tasks`` without arguments; return their results in the order of their end.
+
+        The iterator raises the exception of a task, and ``NotCertified`` if the cluster is lost.
+        """
         futures = [self.executor.submit(task) for task in tasks]
         return self._unless_lost(future.result() for future in as_completed(futures))
 

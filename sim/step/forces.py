@@ -114,8 +114,10 @@ def add_kinetic(H: Array, s: Array, p0: int, step: StepArrays, width: int = W) -
 
 @njit_inline
 def whole_energy(s: Array, work: int, step: StepArrays, width: int = W) -> None:
-    """Write H of the state in the first rows of ``s`` to row ``work`` + 2, from V in the row
-    ``work`` + 1; rows of ``width`` lanes."""
+    """Write H = V + Σ p²/(2m) of the state (q, p) in the first rows of ``s`` to row ``work`` + 2.
+
+    V is read from the row ``work`` + 1; rows have ``width`` lanes.
+    """
     H = row(s, work + 2, 1, width)
     copy(H, row(s, work + 1, 1, width), width)
     add_kinetic(H, s, step.half_inverse_mass.size, step, width)

@@ -300,7 +300,8 @@ def largest_reached(system: System, energy: float, time: float) -> Array:
 
     Free motion and motion by the noise add up. The latter has 2n normal coordinates in units of √T:
     T is ``hottest`` or, if less, twice the energy that the noise has brought by then. Stops only
-    make displacements smaller. A state exceeds the bounds with the probability ``CHANCE``.
+    make displacements smaller. A state exceeds the bounds with the probability ``CHANCE``. The
+    noise counts as constant: of a system with ``modulation`` pass ``loudest``.
     """
     T = system.fact(hottest)
     if system.damping_terms:

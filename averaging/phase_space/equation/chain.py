@@ -82,7 +82,10 @@ class Chain:
         return out[:-1]
 
     def unpack(self, u: Array) -> list[Array]:
-        """Return the levels (degrees, functions) of the vector ``u``; 0 for missing functions."""
+        """Return the levels of the vector ``u``, each (degrees, functions).
+
+        The degree with most functions sets their number; 0 where a degree has fewer.
+        """
         every, used = np.append(u, np.zeros(1, u.dtype))[self.places], self.places >= 0
         spans = map(self.space.span, range(self.space.level[-1] + 1))
         return [every[at, : np.sum(used[at].any(axis=0))] for at in spans]

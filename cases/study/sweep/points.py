@@ -121,7 +121,10 @@ class PointStore:
             warnings.warn(f"{self._path}: {words}", stacklevel=2)
 
     def add(self, point: SweepPoint) -> None:
-        """Store a finished point; it is on disk when the function returns."""
+        """Store a finished point; with a folder also in its file, which is replaced whole.
+
+        A run that is killed later keeps the point. Raises ``BadInput`` if it cannot be written.
+        """
         self.points[point.values] = point
         self._append(json.dumps(plain(point), allow_nan=False))
         if self._path is not None:

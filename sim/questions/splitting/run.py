@@ -41,7 +41,8 @@ LEAST_REPETITIONS = 8
 """Least number of repetitions for an estimate of the error from their spread."""
 
 LARGEST_SPREAD = 0.3
-"""Largest relative standard error that the spread of a few repetitions can show."""
+"""Largest standard error of a mean, over the mean, that is stated from the spread of a few
+repetitions; above it the error is inf."""
 
 
 @dataclass(frozen=True)
