@@ -169,7 +169,9 @@ def parse_limit(text: str, n: int) -> Limit:
     """
     kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
     kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
-    remedy = "use H=1.5, H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first), or q2=1.2 for |q2|"
+    # Examples that this system has: of two masses both are shown, of one its own.
+    several = "H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first)" if n > 1 else "H1=0.4"
+    remedy = f"use H=1.5, {several}, or q{min(n, 2)}=1.2 for |q{min(n, 2)}|, without a unit"
     limit = Limit(*parse_numbers("limit", text, kinds, remedy))
     if min(limit.values.values()) < LEAST_LIMIT:
         raise InvalidInput("limit", text, f"must be > 0, {LEAST_LIMIT:g} at least")

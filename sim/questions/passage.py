@@ -290,7 +290,7 @@ def passage_of(
         if events:
             few = f"{paths - events} of {paths} trajectories had not failed by t = {followed:.4g}"
             few = f"{few}, and {late} failures in the tail are too few to go on from"
-        most = f"{most_events(events) / exposure:.2g} at most (95 %); simulate for longer, or split"
+        most = f"{most_events(events) / exposure:.2g} at most (95 %); simulate for longer"
         words.append(f"{few}: the mean failure rate until then is {most}")
     # Relative to the mean; if some never fail, absolute error of the probabilities.
     never = np.max(error[3:], initial=0.0) if settled == inf else inf

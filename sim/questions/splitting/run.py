@@ -283,7 +283,7 @@ def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progre
     if (whole := finished()) < LEAST_REPETITIONS:
         raise NotCertified(
             f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
-            " are needed: allow more seconds or take fewer replicas"
+            " are needed: allow more seconds"
         )
     return failure_estimate(made[:, :, :whole], dt, seconds, s)
 
