@@ -191,7 +191,8 @@ class Sweep:
             else "",
             stationary_note(system),
             *map(reader_words, self.averaging_notes),
-            "averaging error not measured: add --method phase-space or --method montecarlo."
+            "averaging error not measured: add --method montecarlo, or --method phase-space, which"
+            " may take minutes a point."
             if self.averaging_notes
             else "",
             *reasons,

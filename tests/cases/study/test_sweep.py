@@ -310,7 +310,7 @@ def test_a_sweep_says_what_each_method_solves_and_how_to_measure_the_averaging_e
     (table,) = result.page().tables
     assert {row["solves"] for row in table.rows} == {"averaged"}
     remarks = "\n".join(table.remarks)
-    assert "add --method phase-space or --method montecarlo" in remarks
+    assert "add --method montecarlo, or --method phase-space" in remarks
     assert "mean_force(1): of both sides of the contact, added up" in remarks
     assert "rms(q2): of both" not in remarks and "mean_force(1,left)" in remarks
     methods = ["exact", "nonintegrable"]
