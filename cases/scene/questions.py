@@ -67,9 +67,6 @@ class PassageQuestion:
 
 Question = TransientQuestion | PassageQuestion
 
-CLAIMS = ("rate_error", "failure_error")
-"""Keys of [[passage]] that claim an averaging error, as ``{ at_most = 0.1 }``."""
-
 
 def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[PassageQuestion, ...]:
     """Return the questions of [[passage]]: from rest without "start"; ``times`` may be empty.
@@ -86,11 +83,14 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
             require_below(system, limit, start)
             times = _times(table)
         claims: dict[str, Any] = {
-            key: range_of(f"{place}.{key}", table[key]) for key in CLAIMS if key in table
+            key: range_of(f"{place}.{key}", table[key])
+            for key in ("rate_error", "failure_error")
+            if key in table
         }
         if "failure_error" in claims and not times:
             raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
-        claims |= {key: table[key] for key in ("theory",) if key in table}
+        if "theory" in table:
+            claims["theory"] = table["theory"]
         questions.append(PassageQuestion(limit, start, times, **claims))
     return tuple(questions)
 

@@ -159,8 +159,8 @@ def test_modules_named_in_the_environment_are_imported(refusal, monkeypatch):
 @pytest.mark.parametrize(
     ("energy", "slope", "words"),
     [
-        (lambda x, e: x**3 / 2.0, lambda x, e: 2.0 * x, "energy of the law 'wrong' = 32.0"),
-        (lambda x, e: x**3 / 3.0, lambda x, e: 3.0 * x, "force of the law 'wrong' = 16.0"),
+        (lambda x, e: x**3 / 2.0, lambda x, e: 2.0 * x, "energy and force"),
+        (lambda x, e: x**3 / 3.0, lambda x, e: 3.0 * x, "force and slope"),
     ],
 )
 def test_a_law_whose_parts_do_not_belong_together_is_refused(energy, slope, words):
@@ -168,6 +168,23 @@ def test_a_law_whose_parts_do_not_belong_together_is_refused(energy, slope, word
     with pytest.raises(InvalidInput, match=words):
         register_law(law)
     assert "wrong" not in LAWS
+
+
+@pytest.mark.parametrize(
+    ("force", "energy", "slope"),
+    [
+        (lambda x, e: np.sinh(900 * x), lambda x, e: 2 * np.sinh(450 * x) ** 2 / 900,
+         lambda x, e: 900 * np.cosh(900 * x)),
+        (lambda x, e: x**90, lambda x, e: x**91 / 91, lambda x, e: 90 * x**89),
+        (lambda x, e: x / (1 - x), lambda x, e: -x - np.log1p(-x), lambda x, e: (1 - x) ** -2),
+        (lambda x, e: x + 8 * np.maximum(x - 0.3, 0), lambda x, e: x * x / 2
+         + 4 * np.maximum(x - 0.3, 0) ** 2, lambda x, e: 1 + 8 * (x > 0.3)),
+    ],
+    ids=["exponential", "steep", "finite travel", "kink"],
+)  # fmt: skip
+def test_a_law_of_any_scale_is_registered(force, energy, slope):
+    register_law(ContactLaw("any", 1.0, force, energy, slope))
+    del LAWS["any"]
 
 
 @pytest.fixture(scope="module")

@@ -58,16 +58,16 @@ def test_reliability_begins_with_one_only_where_the_start_lies_below_the_limit(
 
 @pytest.mark.parametrize(
     ("names", "largest"),
-    # The limit is 250 kB: the rest is for bins and words that vary. Without the full system the
-    # page has 147 kB, and is made in a third of the time.
+    # The limit is 250 kB. Pictures of few samples are noisy and take the most, so their number is
+    # given and not the time. Without the full system the page has 147 kB, in a third of the time.
     [
         (("exact", "linear", "nonintegrable", "integrable"), 160_000),
-        pytest.param((), 240_000, marks=pytest.mark.slow),
+        pytest.param((), 250_000, marks=pytest.mark.slow),
     ],
     ids=["averaged", "all"],
 )
 def test_the_report_of_fig6a_is_small_beside_its_data(names, largest, tmp_path):
-    methods = chosen_methods(all_methods(seconds=0.3, partial=True), names, simulation=True)
+    methods = chosen_methods(all_methods(paths=4096, relaxations=8.0), names, simulation=True)
     outcome = run_scene(load_scene("fig6a"), methods, relax=True)
     write_report(outcome, digest_of(outcome), tmp_path)
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
