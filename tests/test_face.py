@@ -6,14 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+from systems import both, fig6
 
 import fpk
 from fpk.answer.density import Density
 
 
-def small_system():
-    stop = fpk.Contact(mass=2, side="both", stiffness=10.0, clearance=0.5)
-    return fpk.System([1, 1], [1, 1], [0.08, 0.04], [0.01, 0.02], contacts=(stop,))
+SYSTEM = fig6(both(10.0))
 
 
 def python(code, folder):
@@ -50,7 +49,7 @@ def test_a_file_that_hides_a_room_is_named_in_one_line(tmp_path, hidden):
 
 
 def test_one_method_gives_a_density_that_can_be_called():
-    answers = fpk.solve(small_system(), ["q2", "H"], methods=["nonintegrable/closed-form"])
+    answers = fpk.solve(SYSTEM, ["q2", "H"], methods=["nonintegrable/closed-form"])
     assert isinstance(answers["q2"], Density)
     assert answers["q2"](0.3).shape == ()
     assert answers["q2"]([0.0, 0.3]).shape == (2,)
@@ -60,7 +59,7 @@ def test_one_method_gives_a_density_that_can_be_called():
 
 
 def test_without_methods_every_deterministic_route_is_tried():
-    answers = fpk.solve(small_system(), ["q2", "H1"])
+    answers = fpk.solve(SYSTEM, ["q2", "H1"])
     assert not any(result.method.route.sampled for result in answers.results)
     assert "nonintegrable/fem" in answers.of("q2")
     assert "integrable/fem" in answers.of("H1")
@@ -91,7 +90,7 @@ def test_without_methods_every_deterministic_route_is_tried():
     ],
 )
 def test_mistakes_are_told_in_one_line(request_, error, words):
-    defaults = {"system": small_system(), "observables": ["q2"], "methods": ["nonintegrable"]}
+    defaults = {"system": SYSTEM, "observables": ["q2"], "methods": ["nonintegrable"]}
     with pytest.raises(error) as caught:
         fpk.solve(**(defaults | request_))
     assert words in str(caught.value)
@@ -99,9 +98,8 @@ def test_mistakes_are_told_in_one_line(request_, error, words):
 
 
 def test_records_print_short_and_can_be_pickled():
-    system = small_system()
-    answers = fpk.solve(system, ["q2"], methods=["nonintegrable/closed-form"])
-    for record in (system, answers, answers["q2"], answers.results[0], system.contacts[0]):
+    answers = fpk.solve(SYSTEM, ["q2"], methods=["nonintegrable/closed-form"])
+    for record in (SYSTEM, answers, answers["q2"], answers.results[0], SYSTEM.contacts[0]):
         assert len(repr(record).splitlines()) == 1 and len(repr(record)) < 120
     assert "q2" in repr(answers["q2"]) and "certified" in repr(answers["q2"])
     p, q = answers["q2"], np.linspace(-1.0, 1.0, 5)

@@ -17,24 +17,6 @@ METHODS = {
 }
 
 
-def tied(ratio, contacts):
-    """Two masses with springs 1 and ``ratio``, and (8) with h = ALPHA."""
-    return System([1.0, 1.0], [1.0, ratio], [0.1, 0.1], [0.05, 0.05], contacts=contacts)
-
-
-def expected_q1(system, q1):
-    """p(q1) of two masses in the Gibbs state: the stops of mass 1 are a factor of it."""
-    others = tuple(c for c in system.contacts if c.mass == 2)
-    reference = EnergyReference(chain_of(replace(system, contacts=others)))
-
-    def weight(x):
-        p = reference.of_displacement(0, x.ravel())[0].reshape(x.shape)
-        return np.exp(-ALPHA * system.contact_energy(0, x)) * p
-
-    stops = sorted(stop.sign * stop.clearance for stop in system.stops)
-    return weight(q1) / pieces(weight, np.array([-5.0, *stops, 5.0]))
-
-
 ONE = (Contact(2, "both", 10.0, 0.5),)
 BOTH = (Contact(1, "both", 10.0, 0.4), Contact(2, "both", 20.0, 0.5))
 
@@ -44,8 +26,19 @@ BOTH = (Contact(1, "both", 10.0, 0.4), Contact(2, "both", 20.0, 0.5))
     [(1.0, ONE, METHODS), (1e6, ONE, METHODS), (1e6, BOTH, ["exact"])],
 )
 def test_a_mass_tied_to_a_contact_mass(ratio, contacts, methods):
-    system, q1 = tied(ratio, contacts), np.array([0.0, 0.05, 0.41, 0.5, 0.6])
-    expected = expected_q1(system, q1)
+    # (8) holds with h = ALPHA.
+    system = System([1.0, 1.0], [1.0, ratio], [0.1, 0.1], [0.05, 0.05], contacts=contacts)
+    q1 = np.array([0.0, 0.05, 0.41, 0.5, 0.6])
+    # In the Gibbs state the stops of mass 1 are a factor of p(q1).
+    others = tuple(c for c in contacts if c.mass == 2)
+    reference = EnergyReference(chain_of(replace(system, contacts=others)))
+
+    def weight(x):
+        p = reference.of_displacement(0, x.ravel())[0].reshape(x.shape)
+        return np.exp(-ALPHA * system.contact_energy(0, x)) * p
+
+    stops = sorted(stop.sign * stop.clearance for stop in system.stops)
+    expected = weight(q1) / pieces(weight, np.array([-5.0, *stops, 5.0]))
     for name in methods:
         q, p = solved(METHODS[name], system, "q1", "p1")
         assert np.all(assert_known(q, [q1], expected, rounding=2e-12) < 1e-11)
@@ -83,25 +76,10 @@ ROUND_OFF = 5e-15
 """Relative round-off of the reference, but for energies within 1e-8 of themselves of a stop's."""
 
 
-def system_of(stiffness, damping, noise, stops, mass=1.0):
+def system_of(stiffness, damping, noise, stops):
     """One mass with ``stops``: side, stiffness, clearance and law of each."""
     contacts = tuple(Contact(1, *stop) for stop in stops)
-    return System([mass], [stiffness], [[damping]], [[noise]], contacts=contacts)
-
-
-def assert_certified_and_right(system):
-    """Every check of p(H) holds, and next to each energy of a stop p is right to its error."""
-    (p,) = solved(Exact(), system, "H")
-    assert p.l1_error < 1e-11
-    kT = float(system.noise_matrix[0, 0] / system.damping[0, 0])
-    touched = [0.5 * system.stiffness[0] * s.clearance**2 for s in system.stops]
-    shares = np.array([0.5, 1.0 - 1e-6, 1.0 + 1e-12, 1.0 + 1e-8, 1.0 + 1e-5, 1.001, 1.1, 3.0])
-    H = np.append(
-        kT * np.array([1e-12, 1e-6, 0.01, 0.3, 1.0, 3.0, 10.0]), np.outer(touched, shares)
-    )
-    H = H[H > 0.0]
-    expected, _ = EnergyReference(chain_of(system)).of_energy(H)
-    assert_known(p, [H], expected, ROUND_OFF * expected)
+    return System([1.0], [stiffness], [[damping]], [[noise]], contacts=contacts)
 
 
 STOPS = {
@@ -120,8 +98,17 @@ STOPS = {
 
 @pytest.mark.parametrize("name", STOPS)
 def test_the_mass_of_the_energy_is_one_to_its_error(name):
-    stops, numbers = STOPS[name]
-    assert_certified_and_right(system_of(*numbers, stops))
+    stops, (stiffness, damping, noise) = STOPS[name]
+    system, kT = system_of(stiffness, damping, noise, stops), noise / damping
+    (p,) = solved(Exact(), system, "H")
+    assert p.l1_error < 1e-11
+    touched = [0.5 * stiffness * s.clearance**2 for s in system.stops]
+    shares = np.array([0.5, 1.0 - 1e-6, 1.0 + 1e-12, 1.0 + 1e-8, 1.0 + 1e-5, 1.001, 1.1, 3.0])
+    energies = kT * np.array([1e-12, 1e-6, 0.01, 0.3, 1.0, 3.0, 10.0])
+    H = np.append(energies, np.outer(touched, shares))
+    H = H[H > 0.0]
+    expected, _ = EnergyReference(chain_of(system)).of_energy(H)
+    assert_known(p, [H], expected, ROUND_OFF * expected)
 
 
 @pytest.mark.parametrize("share", [-4e-16, 0.0, 4e-16])
