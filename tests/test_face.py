@@ -11,7 +11,6 @@ from systems import both, fig6
 import fpk
 from fpk.answer.density import Density
 
-
 SYSTEM = fig6(both(10.0))
 
 
