@@ -166,8 +166,7 @@ CONSTANTS = {
     "theory.md": (
         f"about ${step_size.BIAS}\\,X^e$ of itself",
         f"up to about ${step_size.JOINT_BIAS}\\,X$ of itself",
-        f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}",
-        f"disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/plan.py",
+        f"each pair of normals lies in a disc of radius {plan.LARGEST_NORMAL:.2f}: `sim/sample/",
         f"$a \\ge {plan.LARGEST_NORMAL:.2f}\\,\\sigma(H)$",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"one serves all times within a factor {CONTOUR_TIMES:g}",

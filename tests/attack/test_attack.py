@@ -71,10 +71,16 @@ def _matrix(rng, n, size):
     return np.sqrt(np.outer(scale, scale)) * 0.5 * (matrix + matrix.T)
 
 
+def temperature(chain):
+    return float(
+        np.sum(np.diag(chain.noise) / chain.mass) / np.sum(np.diag(chain.damping) / chain.mass)
+    )
+
+
 def _stops(rng, chain):
     count = int(rng.integers(1, 3)) if chain.n > 1 else 1
     masses = rng.choice(chain.n, size=count, replace=False)
-    theta, stops = 1.0 / EnergyReference(chain).alpha, []
+    theta, stops = temperature(chain), []
     for i in sorted(int(m) for m in masses):
         rms = np.sqrt(theta * chain.compliance(-1, i))
         side = rng.choice(["left", "right", "both"])
@@ -90,7 +96,7 @@ def _stops(rng, chain):
 
 def _terms(rng, chain, proportional):
     """Terms that only ever take energy out; H·D in proportion to the noise where the damping is."""
-    theta = 1.0 / EnergyReference(chain).alpha
+    theta = temperature(chain)
     strength = decades(rng, -1.5, 0.5) * float(np.trace(chain.damping)) / chain.n / theta
     kind = str(rng.choice(["H", "q", "v"]))
     diagonal = not np.any(chain.noise - np.diag(np.diag(chain.noise)))
@@ -167,7 +173,7 @@ class Attack:
     def points(self, c):
         """Points over the bulk and the tails, at stops, at energies of contact and close by."""
         rng, chain = np.random.default_rng(self.seed), self.chain
-        theta = 1.0 / self.references[EnergyReference].alpha
+        theta = temperature(chain)
         if c.kind == "H":
             joints = [chain.contact_energy_of(s) for s in chain.stops]
             x = np.append(theta * 10.0 ** rng.uniform(-4, 0, 3), theta * rng.uniform(0, 12, 5))

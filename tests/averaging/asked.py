@@ -90,20 +90,6 @@ def refusal(method, system, name):
         return str(reason)
 
 
-def random_system(rng, n):
-    """Random masses, springs, full damping and terms: odd powers, off the diagonal, energies."""
-    terms = [DampingTerm(i + 1, i + 1, 0.3, energy=e) for i in range(n) for e in (1, 3)]
-    for _ in range(6):
-        i, j, *at = (int(k) + 1 for k in rng.integers(n, size=4))
-        a, b, e = (int(k) for k in rng.integers([1, 1, 0], [4, 3, 2]))
-        size, q = 0.01 * rng.normal(), ((at[0], a),)
-        terms += [DampingTerm(i, j, size, q, v, e) for v in ((), ((at[1], b),))]
-    c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
-    f = rng.normal(size=(n, n))
-    mass, stiffness = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
-    return System(mass, stiffness, c, 0.02 * (f @ f.T + np.eye(n)), damping_terms=terms)
-
-
 def van_der_pol(coefficient=0.1, damping=(-0.02, 0.01), noise=(8e-4, 8e-4)):
     """c_11 += ``coefficient`` (q1² + q2²); the constant ``damping`` feeds energy into mode 2."""
     terms = tuple(DampingTerm(1, 1, coefficient, ((k + 1, 2),)) for k in (0, 1))

@@ -8,7 +8,6 @@ from asked import (
     assert_refused,
     by_modes,
     in_masses,
-    random_system,
     refusal,
     solved,
     three_to_one,
@@ -48,8 +47,18 @@ def flows(system, modes, energies):
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_drift_is_the_phase_average(n):
+    """Full damping, terms with odd powers and energies, off the diagonal, too."""
     rng = np.random.default_rng(7)
-    system = random_system(rng, n)
+    terms = [DampingTerm(i + 1, i + 1, 0.3, energy=e) for i in range(n) for e in (1, 3)]
+    for _ in range(6):
+        i, j, *at = (int(k) + 1 for k in rng.integers(n, size=4))
+        a, b, e = (int(k) for k in rng.integers([1, 1, 0], [4, 3, 2]))
+        size, q = 0.01 * rng.normal(), ((at[0], a),)
+        terms += [DampingTerm(i, j, size, q, v, e) for v in ((), ((at[1], b),))]
+    c = np.diag(rng.uniform(0.05, 0.1, n)) + 0.01 * rng.normal(size=(n, n))
+    f = rng.normal(size=(n, n))
+    mass, stiffness = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
+    system = System(mass, stiffness, c, 0.02 * (f @ f.T + np.eye(n)), damping_terms=terms)
     modes = modal_analysis(system)
     for energies in rng.exponential(size=(3, n)) * modes.temperature:
         flow, b = (x.mean(axis=0) for x in flows(system, modes, energies)[:2])
