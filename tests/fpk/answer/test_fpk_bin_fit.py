@@ -33,6 +33,13 @@ def drawn(axes, share, samples, seed, observable=Q1, *, batches=BATCHES):
     return SampledDensity(observable, axes, values.mean(axis=0), values, PASSED, samples=samples)
 
 
+def drawn_normal(samples, seed, *, bins, batches):
+    """Samples of the standard normal density: the first displacement of two masses."""
+    axis = BinAxis(np.linspace(-6.0, 6.0, bins + 1))
+    share = np.diff(norm.cdf(axis.edges))
+    return drawn((axis,), share, samples, seed, parse_observable("q1", 2), batches=batches)
+
+
 def test_polynomials_of_ln_p_are_exact_everywhere(bins=24):
     """Times the reference, at both ends, too: of exact contents only the quadrature is left."""
     axis = BinAxis(np.linspace(0.0, 2.0, bins + 1), (), lambda y, bins: -3.0 * y**2)
@@ -117,27 +124,23 @@ def test_two_coordinates_have_the_errors_they_state():
     assert 0.6 < np.mean(np.square(z)) < 1.5 and np.abs(z).max() < 5.0
 
 
-def excursions(*, batches, per_visit, rng, edges, visits):
-    """Counts of samples (batches, bins) that come ``per_visit`` at a time, Poisson many times."""
-    share = norm.pdf(0.5 * (edges[1:] + edges[:-1]))
-    times = rng.poisson(visits / batches * share / share.max(), size=(batches, share.size))
-    # A visit stays near where it turned: its samples within three bins.
-    where = np.repeat(np.arange(times.size), per_visit * times.ravel())
-    where += rng.integers(-1, 2, where.size)
-    return np.bincount(where, minlength=times.size).reshape(times.shape)
-
-
 def test_rare_bins_are_worth_their_visits_not_their_samples():
     """Twelve samples a visit: |z| where the expected number of visits is 0.2 to 20, 40 seeds.
 
+    There are Poisson many visits, and each stays near where it turned: within three bins.
+
     With the floor of one sample the mean square is above 20.
     """
-    edges, squares, per_visit = np.linspace(-6.0, 6.0, 481), [], 12
-    x = np.linspace(2.0, 5.0, 13)
+    edges, squares = np.linspace(-6.0, 6.0, 481), []
+    h, x = edges[1] - edges[0], np.linspace(2.0, 5.0, 13)
+    share = norm.pdf(0.5 * (edges[1:] + edges[:-1]))
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        counts = excursions(batches=64, per_visit=per_visit, rng=rng, edges=edges, visits=400.0)
-        h, whole = edges[1] - edges[0], counts.sum()
+        visits = rng.poisson(400.0 / 64 * share / share.max(), size=(64, share.size))
+        where = np.repeat(np.arange(visits.size), 12 * visits.ravel())
+        where += rng.integers(-1, 2, where.size)
+        counts = np.bincount(where, minlength=visits.size).reshape(visits.shape)
+        whole = counts.sum()
         sampled = SampledDensity(
             Q1, (BinAxis(edges),), counts.sum(axis=0) / (whole * h), 64 * counts / (whole * h),
             PASSED, samples=whole,

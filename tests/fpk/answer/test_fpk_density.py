@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from scipy.stats import norm
-from test_fpk_bin_fit import drawn
+from test_fpk_bin_fit import PASSED, drawn_normal
 
 from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Measured, largest_measured
 from fpk.answer.density import (
-    Certificate,
     Density,
     bin_differences,
     certify_density,
@@ -22,7 +21,6 @@ from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import InvalidInput
 from fpk.system.system import System
 
-PASSED = Certificate(l1_error=0.0, mass_defect=0.0, minimum=0.0, residual=0.0, tail_mass=0.0)
 REACH = 9.0
 SEED = 30577
 
@@ -48,10 +46,7 @@ def correlated(r=0.6, scale=1.0):
 
 
 def histogram(*, bins=480):
-    """Independent batches drawn from the cell probabilities of the standard normal density."""
-    axis = BinAxis(np.linspace(-6.0, 6.0, bins + 1))
-    share = np.diff(norm.cdf(axis.edges))
-    return drawn((axis,), share, 1e7, SEED, parse_observable("q1", 2), batches=100)
+    return drawn_normal(1e7, SEED, bins=bins, batches=100)
 
 
 # 20 Gauss points per half a standard deviation: only round-off is left, some 1e-15.

@@ -8,11 +8,10 @@ from asked import solved
 from references import EnergyReference, chain_of, pieces
 from scipy import stats
 from scipy.special import erfc
-from test_fpk_bin_fit import drawn
+from test_fpk_bin_fit import drawn_normal
 
 from averaging import Exact, Linear, NonIntegrable
 from fpk import Contact, System
-from fpk.answer.bins import BinAxis
 from fpk.answer.certificate import Certificate, Measured
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.density import Density, certify_density
@@ -50,13 +49,7 @@ GAMMA = stats.gamma(2, scale=0.3)
 MOMENTUM = stats.norm(scale=np.sqrt(stationary_covariance(LINEAR)[2, 2]))
 
 
-def histogram(samples, seed):
-    axis = BinAxis(np.linspace(-6.0, 6.0, 121))
-    share = np.diff(NORMAL.cdf(axis.edges))
-    return drawn((axis,), share, samples, seed, parse_observable("q1", 2), batches=8)
-
-
-SAMPLED = histogram(800, 8)
+SAMPLED = drawn_normal(800, 8, bins=120, batches=8)
 
 
 def gaussian(mean, mass, tail):
@@ -169,7 +162,7 @@ def test_sampled_quantities_scatter_by_their_standard_error():
     true = np.array([1.0, 3.0, NORMAL.sf(1.03), NORMAL.ppf(0.9)])
     z = []
     for seed in range(60):
-        d = histogram(16_000, seed)
+        d = drawn_normal(16_000, seed, bins=120, batches=8)
         numbers = d.variance(), d.kurtosis(), d.exceedance(1.03), d.quantile(0.9)
         value, error = np.transpose([(n.value, n.error) for n in numbers])
         z.append((value - true) / error)
