@@ -157,17 +157,20 @@ def test_modules_named_in_the_environment_are_imported(refusal, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("energy", "slope", "words"),
+    ("name", "energy", "slope", "error", "words"),
     [
-        (lambda x, e: x**3 / 2.0, lambda x, e: 2.0 * x, "energy and force"),
-        (lambda x, e: x**3 / 3.0, lambda x, e: 3.0 * x, "force and slope"),
+        ("wrong", lambda x, e: x**3 / 2, lambda x, e: 2 * x, InvalidInput, "energy and force"),
+        ("wrong", lambda x, e: x**3 / 3, lambda x, e: 3 * x, InvalidInput, "force and slope"),
+        ("hertz", lambda x, e: x**3 / 3, lambda x, e: 2 * x, ValueError, "registered already"),
     ],
 )
-def test_a_law_whose_parts_do_not_belong_together_is_refused(energy, slope, words):
-    law = ContactLaw("wrong", 2.0, force=lambda x, e: x * x, energy=energy, slope=slope)
-    with pytest.raises(InvalidInput, match=words):
+def test_a_law_of_a_name_that_is_taken_or_of_parts_that_do_not_belong_together_is_refused(
+    name, energy, slope, error, words
+):
+    law = ContactLaw(name, 2.0, force=lambda x, e: x * x, energy=energy, slope=slope)
+    with pytest.raises(error, match=words):
         register_law(law)
-    assert "wrong" not in LAWS
+    assert LAWS.get(name) is not law
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from fpk import Contact, DampingTerm, System
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.quadrature import panel_rule
-from fpk.system.contact_law import LAWS, ContactLaw, register_law
+from fpk.system.contact_law import LAWS
 from fpk.system.modulation import Modulation
 from fpk.system.system import effects_of
 
@@ -213,12 +213,6 @@ def test_a_bad_field_of_a_contact_is_named(field, value):
     assert Contact(**fields, exponent=100.0).power == 100.0
     with pytest.raises(InvalidInput, match=r"^exponent = "):
         Contact(**{**fields, "law": "hertz", "exponent": 2.0})
-
-
-def test_a_law_of_a_name_that_is_taken_is_refused():
-    one = LAWS["hertz"]
-    with pytest.raises(ValueError, match="registered already"):
-        register_law(ContactLaw("hertz", 1.5, one.force, one.energy, one.slope))
 
 
 @pytest.mark.parametrize("rate", [-2.0, -1e-3, 0.0, 1e-6, 1e-3, 1.0, 100.0])
