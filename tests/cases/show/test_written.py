@@ -7,7 +7,7 @@ import pytest
 
 from cases.scene.written import bound, concise, duration, up, with_error
 from cases.show.page import TEMPLATES
-from cases.show.study_page import Table, cell
+from cases.show.study_page import cell
 
 
 @pytest.mark.parametrize(
@@ -77,12 +77,3 @@ def test_times_have_units_that_suit_them():
     times = [5e-9, 2e-3, 1.0, 90.0, 10800.0, 86400.0, 2e5, 1e14]
     assert list(map(duration, times)) == words
     assert cell(2e-3, "seconds") == "2 ms" and cell(float("nan"), "seconds") == "–"
-
-
-def test_the_first_cells_of_a_row_are_not_repeated_and_its_last_is_always_shown():
-    rows = [{"route": "a", "points": 4, "value": x} for x in (0.5, 0.25, 0.25)]
-    assert Table("points", "Points", rows).unrepeated()[1] == [
-        ["a", "4", "0.5"],
-        ["", "", "0.25"],
-        ["", "", "0.25"],
-    ]

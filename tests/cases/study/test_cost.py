@@ -145,19 +145,22 @@ def test_the_command_prices_ten_digits_and_leaves_a_diagram(answer, tmp_path):
 
 
 def test_a_table_is_markdown_in_aligned_columns_without_repeats():
-    cells = [("x", 1.0), ("x", None), ("y", (0.5, 2000.0)), ("y", float("nan"))]
-    rows = [dict(zip(("first", "second"), row, strict=True)) for row in cells]
+    """First cells equal to those of the row above are left out, the last cell never."""
+    cells = [("x", 4, 1.0), ("x", 4, None), ("y", 4, (0.5, 2000.0)), ("y", 5, float("nan"))]
+    cells.append(cells[-1])
+    rows = [dict(zip(("first", "second", "third"), row, strict=True)) for row in cells]
     assert (
         "\n".join(Table("t", "T", rows, ("why",)).markdown())
         == """\
 ## T
 
-| first |         second |
-| ----- | -------------: |
-| x     |           1.00 |
-|       |              – |
-| y     | 0.500 2.00e+03 |
-|       |              – |
+| first | second |          third |
+| ----- | -----: | -------------: |
+| x     |      4 |           1.00 |
+|       |        |              – |
+| y     |      4 | 0.500 2.00e+03 |
+|       |      5 |              – |
+|       |        |              – |
 
 why
 """

@@ -1,7 +1,5 @@
 """The map of regimes: which theory is nearer, judged by what, and what is written and printed."""
 
-import json
-
 import numpy as np
 import xarray as xr
 
@@ -38,13 +36,8 @@ def test_the_equation_of_the_full_system_judges_where_it_is_asked_to(answer):
     assert all(error < 3e-4 for p in points for error in p["error"].values())
 
 
-def test_an_exact_answer_judges_without_a_simulation_and_only_the_summary_is_printed_once_written(
-    fpk, tmp_path
-):
+def test_only_the_summary_is_printed_once_written(fpk, tmp_path):
     line = ["regime", "fig3a", "--vary", "contact.clearance=0.5:2:2"]
-    points = json.loads(fpk(*line, "--json")[1])["points"]
-    assert {p["reference"] for p in points} == {"exact"}
-    assert all(p["L1"]["nonintegrable"] < 1e-10 for p in points)
     status, out, err = fpk(*line)
     assert (status, err) == (0, "") and "energy averaging" in out
     assert "2 points (0 from disk)" in out

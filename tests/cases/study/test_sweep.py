@@ -126,6 +126,7 @@ def test_the_averaging_error_is_what_regime_maps():
             assert abs(point.L1[theory] - pair.L1) <= point.error[theory] + pair.error
             assert swept.field("value")[0, j, k] == point.L1[theory]
             assert swept.points[k].answers[j].reference == point.reference == "exact"
+        assert point.L1["nonintegrable"] < 1e-10
 
 
 def test_a_value_whose_error_is_beyond_it_is_not_certified():
