@@ -152,21 +152,17 @@ JUDGE = PhaseSpace(tol=TOL)
 SAMPLING = MonteCarlo(paths=4096, relaxations=20.0, seed=3)
 STIFF = (Contact(mass=2, side="both", stiffness=1e4, clearance=0.1),)
 REFERENCES = ("phase-space", "montecarlo")
+WEAK = load_scene("fig8a")
+"""Fig. 8(a): weak contact, q2 alone."""
 
 
-@pytest.fixture(scope="module")
-def scene():
-    """Fig. 8(a): weak contact, q2 alone."""
-    return load_scene("fig8a")
+def run(system, *methods):
+    curves = (replace(WEAK.curves[0], system=system),)
+    return run_scene(replace(WEAK, curves=curves), methods)
 
 
-def run(scene, system, *methods):
-    curves = (replace(scene.curves[0], system=system),)
-    return run_scene(replace(scene, curves=curves), methods)
-
-
-def test_theories_and_simulation_are_held_against_the_full_equation(scene):
-    outcome = run_scene(scene, [JUDGE, NonIntegrable(), Integrable(), SAMPLING])
+def test_theories_and_simulation_are_held_against_the_full_equation():
+    outcome = run_scene(WEAK, [JUDGE, NonIntegrable(), Integrable(), SAMPLING])
     (answers,) = outcome.curves
     stated = answers["q2", "phase-space"].l1_error
     assert not outcome.problems and stated <= TOL
@@ -189,11 +185,11 @@ def test_theories_and_simulation_are_held_against_the_full_equation(scene):
     assert any(i["method"] == "phase-space" for i in record["identities"])
 
 
-def test_a_simulation_of_another_system_does_not_pass(scene):
+def test_a_simulation_of_another_system_does_not_pass():
     """At the same tolerance stops ten percent off are seen."""
-    stops = tuple(replace(c, stiffness=1.0) for c in scene.system.contacts)
-    stiff = replace(scene.system, contacts=stops)
-    results = [run(scene, stiff, JUDGE), run(scene, displaced(stiff), SAMPLING)]
+    stops = tuple(replace(c, stiffness=1.0) for c in WEAK.system.contacts)
+    stiff = replace(WEAK.system, contacts=stops)
+    results = [run(stiff, JUDGE), run(displaced(stiff), SAMPLING)]
     answers = Answers(stiff, tuple(r for outcome in results for r in outcome.curves[0].results))
     assert any("phase-space and montecarlo differ" in p for p in answers.problems)
 
@@ -227,11 +223,11 @@ def test_what_is_left_out_is_shown_with_its_reason():
         assert row["applies"] and (row["left_out"] is words or words in row["left_out"])
 
 
-def test_a_bound_of_the_work_leaves_it_out_or_certifies_what_is_reached_and_fails_nothing(scene):
+def test_a_bound_of_the_work_leaves_it_out_or_certifies_what_is_reached_and_fails_nothing():
     """Two small solutions know little of a stiff stop and light damping."""
-    D, c = scene.system.noise_intensity, scene.system.damping
-    light = replace(scene.system, contacts=STIFF, damping=0.01 * c, noise_intensity=0.01 * D)
-    outcome = run(scene, light, PhaseSpace(work=1.0), NonIntegrable())
+    D, c = WEAK.system.noise_intensity, WEAK.system.damping
+    light = replace(WEAK.system, contacts=STIFF, damping=0.01 * c, noise_intensity=0.01 * D)
+    outcome = run(light, PhaseSpace(work=1.0), NonIntegrable())
     (refusal,) = [r for r in outcome.curves[0].refused if r.route.method == "phase-space"]
     assert not refusal.failed and "an L1 error of" in refusal.reason
     assert "operations" in refusal.reason and not outcome.problems

@@ -33,11 +33,6 @@ def scene():
     return replace(loaded, **few, expect=None)
 
 
-@pytest.fixture(scope="module")
-def first(scene):
-    return replace(scene, curves=scene.curves[:1])
-
-
 @pytest.fixture
 def only(monkeypatch):
     """Let commands know these methods alone."""
@@ -48,7 +43,8 @@ def only(monkeypatch):
     return know
 
 
-def test_a_wrong_answer_is_named_where_two_independent_ones_agree(first):
+def test_a_wrong_answer_is_named_where_two_independent_ones_agree(scene):
+    first = replace(scene, curves=scene.curves[:1])
     problems = run_scene(first, [Shifted(), NonIntegrable(), SAMPLED]).problems
     assert len(problems) == 2 and all("differ" in p for p in problems)
     (of_sample,) = [p for p in problems if "exact and montecarlo" in p]

@@ -15,13 +15,6 @@ from fpk.answer.names import parse_observable
 from fpk.answer.quantities import FIELD_CUT, SUBDIVISION, field_of
 
 pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
-CERTIFIED = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-def field_by(name, pdf, *panels):
-    """The mesh of one density, and the error of its subdivision."""
-    exact = Density(parse_observable(name, 1), panels, pdf, lambda *x: 0.0 * sum(x), 0.0, CERTIFIED)
-    return field_of({"a": exact})
 
 
 def words(grid, *names):
@@ -39,7 +32,10 @@ def test_cells_shrink_until_the_error_is_met_in_the_smallest_box_that_holds_the_
         u, v = x / deviations[0], y / deviations[1]
         return np.exp(-(u * u + v * v - 2 * correlation * u * v) / (2 * (1 - correlation**2)))
 
-    mesh, error = field_by("q1,p1", pdf, np.linspace(-12, 8, 9), np.linspace(-4, 6, 5))
+    pair, panels = parse_observable("q1,p1", 1), (np.linspace(-12, 8, 9), np.linspace(-4, 6, 5))
+    known = Certificate(0.0, 0.0, 0.0, 0.0, 0.0)
+    exact = Density(pair, panels, pdf, lambda x, y: 0.0 * (x + y), 0.0, known)
+    mesh, error = field_of({"a": exact})
     p = mesh.point_data["density"]
     assert error <= SUBDIVISION * p.max()
     nodes = [np.unique(x).size for x in mesh.points.T[:2]]
