@@ -70,20 +70,15 @@ def test_adjacent_seeds_are_independent() -> None:
 
 def pairs_of(radius: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return (2, N) normals of given bits."""
-    out = np.empty((2, radius.size), np.float32)
-    rows = np.empty(2 * random.LANES, np.float32)
-    _pairs_of(out, rows, radius.astype(np.uint32), angle.astype(np.uint32))
-    return out.astype(float)
+    halves = np.concatenate([radius, angle]).astype(np.uint32)
+    rows = np.empty(halves.size, np.float32)
+    _fill(rows, halves)
+    return rows.reshape(2, -1).astype(float)
 
 
 @njit(fastmath=FLAGS, error_model="numpy")
-def _pairs_of(out: np.ndarray, rows: np.ndarray, radius: np.ndarray, angle: np.ndarray) -> None:
-    W = random.LANES
-    bits = np.empty(2 * W, np.uint32)
-    for first in range(0, radius.size, W):
-        bits[:W], bits[W:] = radius[first : first + W], angle[first : first + W]
-        random.box_muller(rows, bits)
-        out[0, first : first + W], out[1, first : first + W] = rows[:W], rows[W:]
+def _fill(rows: np.ndarray, halves: np.ndarray) -> None:
+    random.box_muller(rows, halves, halves.size // 2)
 
 
 def test_radii_and_angles_of_all_bits() -> None:
