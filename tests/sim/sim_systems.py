@@ -10,6 +10,8 @@ import pytest
 import systems
 from asked import passage
 
+from averaging.theory import Exact
+from cases.compare.averaged import AveragedSimulation
 from cases.compare.routes import method_for
 from fpk.answer.method import silent
 from fpk.answer.names import Coordinate, parse_limit, parse_observable, parse_start
@@ -34,8 +36,18 @@ def fig6(*, clearance: float = 0.5, stiffness: float = 10.0) -> System:
 
 def exact(*, clearance: float = 0.5) -> System:
     """c_i/D_i = 2 for both: the stationary density is exp(−2 H)."""
-    contacts = (Contact(2, "both", 10.0, clearance),)
+    contacts = systems.both(10.0, clearance)
     return System([1.0, 1.0], [1.0, 1.0], [0.2, 0.4], [0.1, 0.2], contacts=contacts)
+
+
+def exact_density(system: System, name: str) -> Any:
+    (density,) = asked.solved(Exact(), system, name)
+    return density
+
+
+def exact_square(clearance: float = 0.5) -> float:
+    """E q2² of ``exact``."""
+    return float(exact_density(exact(clearance=clearance), "q2").moment(2).value)
 
 
 def mixed() -> System:
@@ -74,6 +86,10 @@ def one_mass(kT: float, side: str, B: float, gap: float, law: str = "hertz") -> 
 
 def simulation(**settings: Any) -> MonteCarlo:
     return MonteCarlo(**({"threads": 1, "paths": 4096} | settings))
+
+
+def averaged(theory: Any, **settings: Any) -> AveragedSimulation:
+    return AveragedSimulation(theory, **({"threads": 1, "paths": 1024, "step": 0.2} | settings))
 
 
 def passed(

@@ -5,10 +5,8 @@ from math import inf, sqrt
 import numpy as np
 import pytest
 from arviz_stats.base import array_stats
-from scipy.integrate import quad
 from scipy.stats import chi2
-from sim_systems import exact, fig6, ranged
-from test_sample_stationary import exact_square, weight
+from sim_systems import exact, exact_density, exact_square, fig6, ranged, slow
 
 from fpk.answer.names import parse_observable
 from fpk.answer.quantities import Number
@@ -140,8 +138,7 @@ def test_the_stated_error_is_the_real_one_and_the_mirror_gains() -> None:
     ratios, gains = [], []
     (histogram,) = ranged(exact(), ("q2",), 2.5)
     middle = 0.5 * (histogram.edges[0][1:] + histogram.edges[0][:-1])
-    norm = 2.0 * quad(weight, 0.0, 6.0, points=[0.5])[0]
-    right = np.array([weight(x) for x in middle]) / norm  # bins are 0.006 wide
+    right = exact_density(exact(), "q2")(middle)  # bins are 0.006 wide
     for seed in range(1000, 1016):
         ensemble = Ensemble(exact(), EXACT_FLOW, 0.11, 4096, seed, 2)
         ensemble.watch([histogram], moment_products(2))  # the kernel of the other tests
@@ -177,10 +174,7 @@ def moments_of_run(seed: int, relaxations: float) -> dict[str, Number]:
     return Record(ensemble).moments()
 
 
-@pytest.mark.parametrize(
-    ("seeds", "relaxations"),
-    [("random", 0.5), pytest.param("adjacent", 15.0, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("seeds", "relaxations"), [("random", 0.5), slow("adjacent", 15.0)])
 def test_stated_errors_are_right_over_seeds(seeds: str, relaxations: float) -> None:
     """64 runs, short and long: Σ z² of each mean is χ²_64.
 

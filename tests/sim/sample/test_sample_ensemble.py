@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 from sim_systems import fig6, limit_cycle, linear, mixed, ranged
 from test_step_damping import HARDENED
-from test_step_long import longer, stiff
 
 from fpk.answer.names import Coordinate
 from fpk.numeric.compiling import ROOT
@@ -27,10 +27,11 @@ from sim.step.kernel import COMPILED, KernelKey, kernel_checksum
 from sim.step.schemes import SCHEMES
 
 EXACT_FLOW = SCHEMES["exact_flow"]
+LONGER = replace(EXACT_FLOW, small=8)
 H = (Coordinate("H"),)
 RUNS = {
     "mixed": (mixed, EXACT_FLOW, 0.1, ("q1", "p3", "H", "q3,p3")),
-    "long steps": (lambda: stiff(1e3), longer(8), 0.16, ("q2", "p2", "q2,p2")),
+    "long steps": (lambda: fig6(stiffness=1e3), LONGER, 0.16, ("q2", "p2", "q2,p2")),
     "terms": (lambda: HARDENED, EXACT_FLOW, 0.1, ("H",)),
 }
 

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from asked import solved
 from scipy.integrate import quad
-from sim_systems import exact, one_mass, transient
+from sim_systems import exact, exact_density, one_mass, slow, transient
 
-from averaging.theory import Exact
 from fpk.answer.contacts import contact_quantities
 from fpk.answer.dynamics import upcrossings
 from fpk.answer.names import parse_observable
-from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
 from fpk.system.contact import Contact
 from fpk.system.system import System
@@ -45,19 +44,11 @@ EXACT = {
 }
 
 
-def sampled(method: MonteCarlo, system: System, name: str) -> SampledDensity:
-    (density,) = method.solve(system, [parse_observable(name, system.n)]).densities
-    return density
-
-
-def exact_density(system: System, name: str) -> Any:
-    """The exact density (7), or that of the energy that one mass would have without its stops.
+def free_energy_density(system: System) -> Any:
+    """The exact density of the energy H_1 that one mass would have without its stops.
 
     Its displacement is √(2 H_1/k) cos φ with the uniform phase φ.
     """
-    observable = parse_observable(name, system.n)
-    if name != "H1":
-        return Exact().solve(system, [observable]).densities[0]
     kT, k = float(system.noise_matrix[0, 0] / system.damping[0, 0]), float(system.stiffness[0])
     stops = np.array([stop.sign * stop.clearance for stop in system.stops])
     free = 1.0 / np.sqrt(2.0 * np.pi * kT / k)  # p(q = 0) without stops: the ratio of the norms
@@ -140,9 +131,10 @@ def add_deviations(
     """
     system, kT = random_stops(seed)
     names, refused = points_at_kinks(system, kT), len(refusals)
-    asked = [parse_observable(name, system.n) for name in names]
-    densities = dict(zip(names, method.solve(system, asked).densities, strict=True))
-    exact = {name: exact_density(system, name) for name in names}
+    densities = dict(zip(names, solved(method, system, *names), strict=True))
+    exact = {name: exact_density(system, name) for name in names if name != "H1"}
+    if "H1" in names:
+        exact["H1"] = free_energy_density(system)
     for name, points in names.items():
         density = densities[name]
         if not density.certificate.certified:
@@ -233,7 +225,7 @@ STIFF = System(
     ("system", "relaxations", "at", "most"),
     [
         (*between(1.0), 0.1),
-        pytest.param(*between(100.0 / 12.0), 0.1, marks=pytest.mark.slow),
+        slow(*between(100.0 / 12.0), 0.1),
         (*between(1000.0 / 12.0), 0.1),
         (STIFF, 60.0, [1e-4], 1.0),  # p(H) ~ H
     ],
@@ -243,7 +235,7 @@ def test_energies_between_stops(
 ) -> None:
     """At the energy of the stop and down to H = 0."""
     method = MonteCarlo(paths=4096, relaxations=relaxations)
-    density, exact = sampled(method, system, "H"), exact_density(system, "H")
+    (density,), exact = solved(method, system, "H"), exact_density(system, "H")
     (value, error), right = density.at(np.array(at)), exact(np.array(at))
     assert density.certificate.certified and np.all(value > 0.0)
     assert np.all(error < most * right) and np.all(np.abs(value - right) < Z * error)
@@ -256,17 +248,13 @@ def test_energies_between_stops(
 
 @pytest.mark.parametrize(
     ("law", "B"),
-    [
-        ("hertz", 1e5),
-        pytest.param("hertz", 1e6, marks=pytest.mark.slow),
-        pytest.param("bilinear", 1e6, marks=pytest.mark.slow),
-    ],
+    [("hertz", 1e5), slow("hertz", 1e6), slow("bilinear", 1e6)],
 )
 def test_impacts_of_a_stiff_stop(law: str, B: float) -> None:
     """√(kT/(2 π m)) p(q = stop) per unit of time, where p falls within 1e-3 of a clearance."""
     system = one_mass(1.0, "right", B, 0.37, law)
     rate = float(exact_density(system, "q1")(0.37)) / sqrt(2.0 * np.pi)
-    density = sampled(MonteCarlo(paths=4096, relaxations=2.0, burn_in=2.0), system, "q1,p1")
+    (density,) = solved(MonteCarlo(paths=4096, relaxations=2.0, burn_in=2.0), system, "q1,p1")
     value, error = upcrossings(density, 1.0, np.array([0.37]))
     assert abs(value[0] - rate) < Z * error[0] < 0.3 * rate
 
@@ -285,24 +273,20 @@ def test_kinks_after_a_long_time(name: str) -> None:
     assert np.all(answer.errors[0] < 0.2 * right)
 
 
-def test_random_stops() -> None:
-    """Some of the systems below whose stops are not stiff, one or two masses, hardly a second."""
-    z, ratios, refusals = list[float](), list[float](), list[str]()
-    for seed in (0, 5):
-        add_deviations(seed, MonteCarlo(paths=4096, relaxations=20.0), z, ratios, refusals)
-    assert not refusals and len(z) > 100
-    assert np.max(np.abs(z)) < Z and np.max(ratios) < 3.0
-
-
-@pytest.mark.slow
-def test_eighty_random_systems_with_stops() -> None:
+@pytest.mark.parametrize(
+    ("seeds", "fields", "least", "known"),
+    [
+        # Two whose stops are not stiff, one or two masses, hardly a second.
+        ((0, 5), {"paths": 4096, "relaxations": 20.0}, 100, set()),
+        # In these seconds a busy machine samples too little of the stiffest.
+        slow(range(80), {"seconds": 4.0}, 3000, {"give it more time", "sample for longer"}),
+    ],
+)
+def test_random_stops(seeds: Any, fields: Any, least: int, known: set[str]) -> None:
     """No certified value beyond five of its errors, |z| as large as chance makes them."""
     z, ratios, refusals = list[float](), list[float](), list[str]()
-    for seed in range(80):
-        add_deviations(seed, MonteCarlo(seconds=4.0), z, ratios, refusals)
-    assert len(z) > 3000
+    for seed in seeds:
+        add_deviations(seed, MonteCarlo(**fields), z, ratios, refusals)
+    assert len(z) > least and {words.rpartition("; ")[2] for words in refusals} <= known
     assert np.max(np.abs(z)) < Z and 0.8 < np.sqrt(np.mean(np.square(z))) < 1.2
     assert np.max(ratios) < 3.0
-    # In these seconds a machine that is busy with other things samples too little of the stiffest.
-    late = {words.rpartition("; ")[2] for words in refusals}
-    assert late <= {"give it more time", "sample for longer"}

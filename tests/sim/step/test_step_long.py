@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sim_systems import fig6, linear, mixed, place
+from sim_systems import fig6, linear, mixed, place, slow
 from test_step_random import box_muller, word
 from test_step_schemes import contact
 
@@ -25,7 +25,7 @@ from sim.sample.plan import (
     with_long_steps,
 )
 from sim.step.random import normals
-from sim.step.schemes import SCHEMES, Scheme, exact_flow, flow_covariance, lower_trapezoidal
+from sim.step.schemes import SCHEMES, exact_flow, flow_covariance, lower_trapezoidal
 from sim.step.step_size import chosen_step, sampling_interval
 
 Array = NDArray[np.float64]
@@ -36,12 +36,8 @@ def stiff(stiffness: float = 1e5) -> System:
     return fig6(stiffness=stiffness)
 
 
-def one(side: str = "right") -> System:
-    return System([2.0], [1.0], [0.2], [0.1], contacts=(Contact(1, side, 3e3, 0.3),))
-
-
-def longer(small: int) -> Scheme:
-    return replace(EXACT_FLOW, small=small)
+def one() -> System:
+    return System([2.0], [1.0], [0.2], [0.1], contacts=(Contact(1, "right", 3e3, 0.3),))
 
 
 def near(system: System, H: float, x: Array) -> NDArray[np.bool_]:
@@ -66,10 +62,7 @@ def own_normals(seed: int, paths: int, counter: int, pairs: int) -> Array:
     return np.array(found)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [stiff, *(pytest.param(m, marks=pytest.mark.slow) for m in (fig6, mixed, one))],
-)
+@pytest.mark.parametrize("make", [stiff, *map(slow, (fig6, mixed, one))])
 def test_kernel_equals_its_twin(make) -> None:
     """To 2e-5 of the largest number: single-precision normals, within 2e-6 each, in 3 × 8 steps.
 
@@ -77,7 +70,7 @@ def test_kernel_equals_its_twin(make) -> None:
     """
     system, small, paths, seed = make(), 8, 150, 4411
     n, h = system.n, min(0.02, chosen_step(system))
-    ensemble = Ensemble(system, longer(small), small * h, paths, seed, 1)
+    ensemble = Ensemble(system, replace(EXACT_FLOW, small=small), small * h, paths, seed, 1)
     ensemble.watch((), moment_products(n))  # the kernel of the other tests
     rng, begin = np.random.default_rng(3), 2
     states = 1.0 * ensemble.states
