@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 from sim_systems import curve, exact, fig6, linear, slow_clock
 
 from fpk.numeric.errors import InvalidInput, NotApplicable
@@ -86,9 +87,7 @@ def test_any_cubic_is_counted_as_its_dense_samples() -> None:
     states = [np.stack([in_blocks(x[k][:, None])[:, 0] for x in (q, p)], axis=1) for k in (0, 1)]
     counts = np.zeros((2, levels.size + 1), dtype=np.int64)
     count_upcrossings(np.stack(states, axis=1), 1, 0, counts, 1.0, 0, 1, 1.0, levels)
-    s = np.linspace(0.0, 1.0, 20001)[:, None]
-    change = q[1] - q[0]
-    path = q[0] + s * (p[0] + s * (3 * change - 2 * p[0] - p[1] + s * (p[0] + p[1] - 2 * change)))
+    path = CubicHermiteSpline([0.0, 1.0], q, p)(np.linspace(0.0, 1.0, 20001))
     for m, level in enumerate(levels):
         dense = np.count_nonzero((path[:-1] < level) & (path[1:] >= level))
         assert abs(int(np.cumsum(counts, axis=1)[:, m].sum()) - dense) <= 1

@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from sim_systems import fig6, passed, transient
+from sim_systems import averaged, fig6, passed, transient
 
 from averaging.nonintegrable import NonIntegrable
-from cases.compare.averaged import AveragedSimulation
+from cases.compare.averaged import STEP
 from fpk.answer.names import REST, parse_limit
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
@@ -33,10 +33,6 @@ FADING = Modulation([0.0, 20.0, 40.0, 90.0], [0.0, 1.5, 1.5, 0.0])
 
 def modulated(system, times, factors):
     return replace(system, modulation=Modulation(times, factors))
-
-
-def averaged(**settings):
-    return AveragedSimulation("nonintegrable", **{"paths": 4096, "threads": 1, **settings})
 
 
 def covariance(system, time):
@@ -103,7 +99,7 @@ def test_the_averaged_equation_fails_as_the_elements_say(modulation):
     system = replace(LIGHT, modulation=modulation)
     asked = parse_limit("H=0.15", 1), REST, np.array([20.0, 40.0, 90.0, 150.0])
     solved = NonIntegrable("fem").passage(system, *asked, tol=1e-4)
-    sampled = averaged(step=0.05).passage(system, *asked)
+    sampled = averaged("nonintegrable", step=0.05, paths=4096).passage(system, *asked)
     assert solved.certificate.certified and sampled.certificate.certified
     # Of six numbers one is beyond 4.2 standard errors in 1 of 6000 samples.
     assert np.all(np.abs(sampled.survival - solved.survival) <= 4.2 * sampled.survival_error)
@@ -119,7 +115,7 @@ def test_the_averaged_transient_is_that_of_the_elements():
     system, at = modulated(TWO, [0.0, 5.0, 10.0, 20.0], [0.0, 0.0, 1.5, 0.0]), [0.02, 0.1, 0.3]
     asked = system, "H", "rest", [8.0, 20.0, 30.0], at
     solved = transient(*asked, method=NonIntegrable("fem"), tol=1e-5)
-    sampled = transient(*asked, method=averaged(paths=16384))
+    sampled = transient(*asked, method=averaged("nonintegrable", step=STEP, paths=16384))
     assert solved.certificate.certified
     # Of nine points one is beyond 4.4 standard errors in 1 of 10,000 samples.
     error = np.hypot(sampled.errors, solved.errors)
@@ -136,7 +132,7 @@ def test_full_system_after_the_noise():
         passed(modulated(TWO, [0.0], [0.0]), "H=0.4", times=times)
     # Moments are infinite though all of the sample failed.
     loud = modulated(ONE, [0.0, 3.0, 4.0], [3.0, 3.0, 0.0])
-    answer = passed(loud, "H=0.01", times=[1.0], method=averaged(step=0.02))
+    answer = passed(loud, "H=0.01", times=[1.0], method=averaged("nonintegrable", step=0.02))
     assert answer.settings["not failed"] == 0
     assert answer.mean.value == answer.variance.value == np.inf and answer.rate is None
 
