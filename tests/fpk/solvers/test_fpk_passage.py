@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from processes import cox_ingersoll_ross, density, failure, moments, mp, rate
 from systems import both, fig6
 
@@ -69,6 +70,14 @@ def test_the_probability_of_failure_at_any_time():
     for i, t in enumerate(times[1:], start=1):
         for j, start in enumerate(starts):
             assert abs(p[i, j] - float(failure(n, start, x, t))) <= error[i, j]
+
+
+def test_a_failure_far_below_round_off_keeps_its_digits():
+    """Once the energies below are filled, P(T <= t) of 1e-22 grows at the failure rate."""
+    rare = chain_first_passage(process(2), 60.0, times=np.array([20.0, 30.0]))
+    p, error = rare.failure(np.array([20.0, 30.0]), np.zeros(1))
+    assert np.all(error < 1e-9 * p)
+    assert_allclose(np.diff(p[:, 0]), 10.0 * rare.rate()[0], rtol=1e-6)
 
 
 def test_a_closed_form_that_cancels_is_refused():

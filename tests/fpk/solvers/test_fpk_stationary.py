@@ -100,6 +100,8 @@ def test_the_pointwise_estimate_covers_the_round_off_of_a_steep_element(masses, 
     process = energy_process(fig6(n=masses))
     nodes = solve_stationary(process).nodes
     solution = solve_on_mesh(process, np.insert(nodes, 1, cut * nodes[1]), 14)
+    # Neighbouring elements share a value.
+    assert solution.unknowns == 14 * nodes.size + 1
     x = np.linspace(0.0, nodes[2], 2001)[1:-1]
     exact = gamma(masses, scale=process.energy_scale / masses).pdf(x)
     assert np.all(np.abs(solution.density(x) - exact) <= solution.pointwise_error(x))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fpk import Contact, DampingTerm, System
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, one_line_repr
 from fpk.numeric.quadrature import panel_rule
 from fpk.system.contact_law import LAWS
 from fpk.system.modulation import Modulation
@@ -270,3 +270,8 @@ def test_the_mean_square_of_a_step_keeps_its_digits_after_loud_noise(step):
     got = modulation.mean_square(begins, step)
     np.testing.assert_allclose(got, exact, rtol=1e-11)
     np.testing.assert_allclose(modulation.mean_square(begins.reshape(9, 3), step).ravel(), got)
+
+
+def test_a_long_value_is_cut_to_the_width_of_a_message():
+    assert one_line_repr("x" * 58) == repr("x" * 58)
+    assert one_line_repr("x" * 59) == "'" + "x" * 58 + "…"

@@ -9,6 +9,7 @@ from sim_systems import curve, exact, fig6, linear, slow_clock
 
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.contact import Contact
+from fpk.system.linear import stationary_covariance
 from fpk.system.system import System
 from sim.questions.curves import EXTRA_LAGS, autocovariance, products_at_lags, spline_error
 from sim.questions.passing import count_upcrossings
@@ -41,6 +42,11 @@ def test_a_linear_system_has_its_exact_curve(question: str, masses: int, most: f
     if question == "spectrum":
         both = curve(*asked, [-1.0, 1.0])
         assert both.values[0] == both.values[1]
+        # Tolerances are relative to (rms q)³/(rms v).
+        q, v = np.sqrt(np.diag(stationary_covariance(asked[1]))[[1, 3]])
+        v /= asked[1].mass[1]
+        share = answer.certificate.l1_error * q**3 / v
+        assert share == pytest.approx(answer.errors.max(), rel=0.1)
 
 
 def test_what_the_noise_crosses_within_a_step_is_extrapolated() -> None:

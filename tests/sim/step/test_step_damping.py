@@ -181,3 +181,6 @@ def test_refusals_and_time() -> None:
     # Small terms change the relaxation little; van der Pol's cycle returns at the rate a.
     assert relaxation_time(van_der_pol(D=1e-6)) == pytest.approx(2.0 / 0.1, rel=0.01)
     assert temperature(van_der_pol(D=1e-6)) == pytest.approx(1.0, rel=0.01)
+    # An overdamped mass creeps back in c/k.
+    creeps = System([1.0], [4.0], [40.0], [1.0], damping_terms=(DampingTerm(1, 1, 1e-9, energy=1),))
+    assert relaxation_time(creeps) == pytest.approx(10.0, rel=0.01)
