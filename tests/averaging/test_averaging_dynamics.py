@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from asked import ask, assert_refused
 from scipy.linalg import eigvals, expm, solve_continuous_lyapunov
-from systems import TURNED
+from systems import TURNED, in_units
 
 import fpk
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace
 from fpk import System
 from fpk.answer.method import silent
 from fpk.answer.names import REST, Coordinate, parse_limit, parse_observable
+from fpk.answer.question import QUESTIONS
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.linear import diffusion_matrix, drift_matrix
 from sim import MonteCarlo
@@ -112,7 +113,7 @@ def test_a_system_with_contacts_is_not_linear(question):
 
 FREE = System([1.0], [1.0], [0.1], [0.05])
 Q, TIMES, AT = parse_observable("q1", 1), np.array([1.0]), np.array([0.5])
-QUESTIONS = {
+ARGUMENTS = {
     "crossings": (Q, AT),
     "spectrum": (Q, AT),
     "correlation": (Q, AT),
@@ -123,11 +124,21 @@ QUESTIONS = {
 METHODS = (
     Exact(), Linear(), Integrable(), Integrable("fem"), NonIntegrable(), PhaseSpace(), MonteCarlo(),
 )  # fmt: skip
-ASKED = [(m, q) for m in METHODS for q in QUESTIONS if hasattr(m, q)]
+ASKED = [(m, q) for m in METHODS for q in ARGUMENTS if hasattr(m, q)]
 
 
 @pytest.mark.parametrize(("method", "question"), ASKED)
 def test_no_such_tolerance(method, question):
     for tol in (0.0, -1e-3, np.nan):
         with pytest.raises(InvalidInput, match="tol"):
-            getattr(method, question)(FREE, *QUESTIONS[question], tol=tol)
+            getattr(method, question)(FREE, *ARGUMENTS[question], tol=tol)
+
+
+@pytest.mark.parametrize("name", ["crossings", "spectrum", "correlation"])
+def test_questions_state_their_units(name):
+    length, mass, time = 3.0, 0.2, 7.0
+    of_axis, of_values = (length**a * mass**b * time**c for a, b, c in QUESTIONS[name].powers)
+    at = np.array([0.0, 0.3, 1.0])
+    one = ask(Linear(), name, UNEQUAL, 1, at)
+    other = ask(Linear(), name, in_units(UNEQUAL, mass, length, time), 1, at * of_axis)
+    np.testing.assert_allclose(other.values, one.values * of_values, rtol=1e-9)

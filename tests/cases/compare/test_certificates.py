@@ -1,6 +1,7 @@
 """Certificates and densities are made in one place, and every route can say "not certified"."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,13 @@ def test_a_route_that_misses_the_tolerance_says_so(key):
     (density,) = method.solve(system, [parse_observable(observable, system.n)]).densities
     assert not density.certificate.certified
     assert any("exceeds the tolerance" in words for words in density.certificate.failures)
+
+
+def test_a_density_below_zero_is_not_certified_unless_its_error_allows_it():
+    negative = Measured(0.0, 0.0, -1e-3, 0.0, 0.0)
+    (words,) = certify(negative, tol=1e-9).failures
+    assert "falls to -0.001 of its maximum" in words
+    assert certify(replace(negative, absolute_error=1e-3), tol=1e-9).certified
 
 
 @pytest.mark.parametrize("column", [0, 1])
