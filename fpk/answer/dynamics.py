@@ -181,6 +181,35 @@ class Transient:
         fail_nan(self)
 
 
+def transient_of(
+    times: Array,
+    densities: Sequence[Density],
+    at: Sequence[tuple[Array, Array]],
+    *,
+    tol: float,
+    settings: Mapping[str, str | float | int] | None = None,
+) -> Transient:
+    """Return the transient of one density for each of ``times``, with one certificate.
+
+    ``at`` are values and errors (points,) for each time. Of every measured number the certificate
+    has the worst, and the failures of all densities but a missed tolerance, which it judges itself
+    by ``tol``.
+    """
+    own = [p.certificate for p in densities]
+    measured = Measured(
+        l1_error=max(c.l1_error for c in own),
+        mass_defect=largest_measured(c.mass_defect for c in own),
+        minimum=min(c.minimum for c in own if c.minimum is not None),
+        residual=largest_measured(c.residual for c in own),
+        tail_mass=largest_measured(c.tail_mass for c in own),
+        failures=tuple(dict.fromkeys(words for c in own for words in c.besides)),
+        absolute_error=max(c.absolute_error for c in own),
+    )
+    values, errors = np.array(at).transpose(1, 0, 2)
+    certificate = certify(measured, tol=tol)
+    return Transient(times, values, errors + SMALLEST, "numerical", certificate, settings or {})
+
+
 @dataclass(frozen=True)
 class Passage:
     """First passage of a limit at the time T: its moments, the failure rate, the reliability.

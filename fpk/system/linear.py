@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import inf
 
 import numpy as np
-from scipy.linalg import block_diag, solve_continuous_lyapunov
+from scipy.linalg import block_diag, expm, matrix_balance, solve_continuous_lyapunov
 
 from fpk.numeric.arrays import EPS, ROUND_OFF, Array
 from fpk.numeric.errors import NotApplicable
@@ -165,3 +165,29 @@ def stationary_covariance(system: System) -> Array:
     back = block_diag(modal.shapes / modal.omega, system.mass[:, None] * modal.shapes)
     covariance = back @ modal.covariance @ back.T
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
+    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
+
+    A is the ``drift`` and b the ``diffusion`` matrix (2n, 2n). Van Loan's block exponential (IEEE
+    Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in units in which A is balanced and b
+    is about 1; each doubling of ``h`` adds positive covariances: nothing cancels.
+    """
+    with np.errstate(invalid="ignore"):  # scipy casts the scale to a permutation, which is unused
+        balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
+    row = scale[:, None]
+    diffusion = diffusion / row / scale
+    largest = float(np.max(np.abs(diffusion)))
+    size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
+    A, b, m = np.asarray(balanced, dtype=float), diffusion / size, len(drift)
+    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(A, 2) * dt + 1e-300))))
+    h = dt / 2**doublings
+    block = expm(np.block([[-A, b], [np.zeros((m, m)), A.T]]) * h)
+    propagator = block[m:, m:].T
+    covariance = propagator @ block[:m, m:]
+    for _ in range(doublings):
+        covariance = covariance + propagator @ covariance @ propagator.T
+        propagator = propagator @ propagator
+    covariance = size * (row * (0.5 * (covariance + covariance.T)) * scale)
+    return row * expm(A * dt) / scale, covariance

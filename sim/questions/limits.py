@@ -10,12 +10,17 @@ import numpy as np
 from fpk.answer.names import REST, Coordinate, Limit, Start
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes
+from fpk.system.linear import (
+    diffusion_matrix,
+    drift_matrix,
+    flow_covariance,
+    natural_modes,
+)
 from fpk.system.system import System, effects_of
 from sim.sample.histogram import values_of
 from sim.sample.settings import Settings
 from sim.step import step_size
-from sim.step.schemes import SCHEMES, flow_covariance
+from sim.step.schemes import SCHEMES
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:

@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
 
 from fpk.numeric.arrays import Array
-from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
 from fpk.system.system import System
 from sim.step.arrays import MAP_COLUMNS
 
@@ -35,32 +34,6 @@ class LinearMap:
 def pad_columns(rows: Array) -> Array:
     """Return ``rows`` with columns of zeros up to a multiple of ``MAP_COLUMNS``."""
     return np.pad(rows, ((0, 0), (0, -rows.shape[1] % MAP_COLUMNS)))
-
-
-def flow_covariance(drift: Array, diffusion: Array, dt: float) -> tuple[Array, Array]:
-    """Return ``exp(A dt)`` and ``∫ exp(A s) b exp(Aᵀ s) ds`` over 0..dt.
-
-    A is the ``drift`` and b the ``diffusion`` matrix (2n, 2n). Van Loan's block exponential (IEEE
-    Trans. Automat. Control 23, 1978, 395) for ``|A| h <= ½``, in units in which A is balanced and b
-    is about 1; each doubling of ``h`` adds positive covariances: nothing cancels.
-    """
-    with np.errstate(invalid="ignore"):  # scipy casts the scale to a permutation, which is unused
-        balanced, (scale, _) = matrix_balance(drift, permute=False, separate=True)
-    row = scale[:, None]
-    diffusion = diffusion / row / scale
-    largest = float(np.max(np.abs(diffusion)))
-    size = 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
-    A, b, m = np.asarray(balanced, dtype=float), diffusion / size, len(drift)
-    doublings = max(0, int(np.ceil(np.log2(2.0 * np.linalg.norm(A, 2) * dt + 1e-300))))
-    h = dt / 2**doublings
-    block = expm(np.block([[-A, b], [np.zeros((m, m)), A.T]]) * h)
-    propagator = block[m:, m:].T
-    covariance = propagator @ block[:m, m:]
-    for _ in range(doublings):
-        covariance = covariance + propagator @ covariance @ propagator.T
-        propagator = propagator @ propagator
-    covariance = size * (row * (0.5 * (covariance + covariance.T)) * scale)
-    return row * expm(A * dt) / scale, covariance
 
 
 def covariance_factor(covariance: Array) -> Array:

@@ -13,13 +13,12 @@ from cases.compare.averaged import STEP
 from fpk.answer.names import REST, parse_limit
 from fpk.numeric.errors import NotApplicable
 from fpk.numeric.quadrature import panel_rule
-from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.questions.passing import spread_of
 from sim.questions.rounds import motions, states_of
 from sim.sample.ensemble import ensemble_from
-from sim.step.schemes import flow_covariance
 
 ENVELOPE = Modulation([0.0, 2.0, 4.0, 9.0], [0.0, 1.5, 1.5, 0.0])
 ONE = System([1.5], [2.0], [0.3], [0.03], modulation=ENVELOPE)

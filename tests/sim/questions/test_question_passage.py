@@ -31,7 +31,7 @@ from fpk.answer.quantities import Number
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
-from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.limits import STEPS_SINCE_START, stages
@@ -41,7 +41,6 @@ from sim.questions.rounds import Watch
 from sim.questions.splitting.run import Splitting, rare_failure
 from sim.sample.ensemble import ensemble_from
 from sim.step.arrays import LANES, in_blocks
-from sim.step.schemes import flow_covariance
 
 LOOSE = System([1.0], [1e-4], [1e-4], [0.5])
 """A mass whose own period is 628: noise alone moves it by 0.6 in the time 1."""

@@ -14,9 +14,8 @@ from sim_systems import exact, exact_density, fig6, linear, transient
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput
 from fpk.system.contact import Contact
-from fpk.system.linear import diffusion_matrix, drift_matrix, natural_modes
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance, natural_modes
 from fpk.system.system import System
-from sim.step.schemes import flow_covariance
 
 Z = 4.5
 """|z| that chance explains: of some 40 points 3e-4, of 100 1e-3."""

@@ -11,7 +11,7 @@ from test_step_schemes import contact
 
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
-from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import moment_products
@@ -25,7 +25,7 @@ from sim.sample.plan import (
     with_long_steps,
 )
 from sim.step.random import normals
-from sim.step.schemes import SCHEMES, exact_flow, flow_covariance, lower_trapezoidal
+from sim.step.schemes import SCHEMES, exact_flow, lower_trapezoidal
 from sim.step.step_size import chosen_step, sampling_interval
 
 Array = NDArray[np.float64]

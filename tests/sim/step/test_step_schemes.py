@@ -13,7 +13,7 @@ from fpk.answer.names import REST, parse_limit, parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.contact import Contact
 from fpk.system.contact_law import LAWS, ContactLaw
-from fpk.system.linear import diffusion_matrix, drift_matrix
+from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.sample.ensemble import Ensemble
@@ -24,7 +24,6 @@ from sim.step.schemes import (
     Scheme,
     covariance_factor,
     exact_flow,
-    flow_covariance,
     lower_trapezoidal,
     register_scheme,
 )
