@@ -13,7 +13,7 @@ import pytest
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
 from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement, resolvent
-from averaging.phase_space.passage import first_passage
+from averaging.phase_space.plane import first_passage
 from averaging.time import MODAL_TOL
 from cases.api import PresentedAnswers
 from cases.command import studies

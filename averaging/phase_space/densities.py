@@ -4,6 +4,9 @@ The identities hold exactly in any stationary state, and most of them to round-o
 of any degree: a violation shows that the equations are wrong, not that the degree is too low.
 """
 
+from functools import singledispatch
+from typing import Any
+
 import numpy as np
 from scipy.ndimage import map_coordinates, maximum_filter
 
@@ -86,20 +89,27 @@ def expansion_density(ladder: Ladder, observable: Observable, tol: float) -> Den
 def expansion_settings(ladder: Ladder) -> dict[str, str | float | int]:
     """Return degrees, why the ladder ended, second moments and the power into each mass.
 
-    The keys are "equation", "highest degree", "degree in the other masses", "solutions" (their
-    number), "ended by" if there is a limit, then for each mass "E q1²" and "E p1²", and "net power
-    of damping and noise on mass 1".
+    The keys are "equation", "solutions" (their number), "ended by" if there is a limit, and of an
+    expansion "highest degree", "degree in the other masses", for each mass "E q1²" and "E p1²", and
+    "net power of damping and noise on mass 1".
     """
-    e = ladder.finest
+    ended = {"ended by": ladder.limit} if ladder.limit else {}
+    return {
+        "equation": "(6)",
+        "solutions": ladder.solutions,
+        **ended,
+        **solution_settings(ladder.finest),
+    }
+
+
+@singledispatch
+def solution_settings(e: Any) -> dict[str, str | float | int]:
+    """Return the settings of one solution, an ``Expansion`` or another one that is registered."""
     frame, d, (mean, covariance) = e.basis.frame, e.basis.degrees, moments(e)
     settings: dict[str, str | float | int] = {
-        "equation": "(6)",
         "highest degree": d.total,
         "degree in the other masses": d.others,
-        "solutions": ladder.solutions,
     }
-    if ladder.limit:
-        settings["ended by"] = ladder.limit
     second = covariance + np.outer(mean, mean)
     for i in frame.order:
         for c in (Coordinate("q", i), Coordinate("p", i)):
@@ -152,8 +162,8 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     s is the standard deviation of y; the sine is no function of the expansion. Errors follow from
     the coarser solution.
     """
-    finest, coarser = _sides(ladder.finest), _sides(ladder.coarser)
-    scale, out = float(np.trace(ladder.finest.basis.frame.noise)), []
+    finest, coarser = sides(ladder.finest), sides(ladder.coarser)
+    scale, out = abs(finest[0][2]), []  # the power of the noise
     for (name, value, expected), (_, *before) in zip(finest, coarser, strict=True):
         distance = abs((value - expected) - (before[0] - before[1]))
         size = max(abs(value), abs(expected), scale)
@@ -162,8 +172,12 @@ def identities(ladder: Ladder) -> tuple[Identity, ...]:
     return tuple(out)
 
 
-def _sides(e: Expansion) -> list[tuple[str, float, float]]:
-    """Return (name, left side, right side) of each identity, named by the left side's formula."""
+@singledispatch
+def sides(e: Any) -> list[tuple[str, float, float]]:
+    """Return (name, left side, right side) of each identity, named by the left side's formula.
+
+    ``e`` is an ``Expansion`` or another solution that is registered.
+    """
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
     n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)

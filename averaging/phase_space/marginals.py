@@ -1,7 +1,9 @@
 """Moments of an expansion, and its densities of one or two displacements and momenta."""
 
 from collections.abc import Callable, Sequence
+from functools import singledispatch
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -46,13 +48,22 @@ def linear_form(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
     return unit * shift[at], unit * to[at, 0], unit * (to[at, 1:] @ e.factor)
 
 
+@singledispatch
 def marginal(
-    e: Expansion, observable: Observable, *, share: float = 1.0
+    e: Any, observable: Observable, *, share: float = 1.0
 ) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     """Return panels and the density of one or two of (q, p), a function of one array per axis.
 
-    ``share`` multiplies the number of points of the integral over the contact displacement.
+    ``e`` is an ``Expansion`` or another solution that is registered; ``share`` multiplies the
+    number of points of the integral over what is not observed.
     """
+    raise TypeError(type(e))
+
+
+@marginal.register
+def _(
+    e: Expansion, observable: Observable, *, share: float = 1.0
+) -> tuple[tuple[Array, ...], Callable[..., Array]]:
     (mean, covariance), panels = moments(e), list[Array]()
     forms = [linear_form(e, c) for c in observable]
     for (_, slope, direction), c in zip(forms, observable, strict=True):

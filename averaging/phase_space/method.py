@@ -1,6 +1,6 @@
 """Method ``phase-space``: the stationary FPK equation of the full system (6), deterministic."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
@@ -15,7 +15,10 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import lowest, next_degrees
 from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
-from averaging.phase_space.passage.first_passage import phase_space_passage
+from averaging.phase_space.plane.first_passage import phase_space_passage
+from averaging.phase_space.plane.oscillator import oscillator_of
+from averaging.phase_space.plane.stationary import plane_ladder, plane_ladder_of
+from averaging.phase_space.plane.transient import plane_transient
 from averaging.phase_space.refinement import (
     SOLUTION_MEMORY,
     SOLUTION_WORK,
@@ -28,7 +31,7 @@ from averaging.phase_space.refinement import (
 )
 from averaging.theory import LARGEST, Exact, Theory
 from fpk.answer.certificate import Measured, certify
-from fpk.answer.dynamics import Curve, Passage, Rates, certify_curve
+from fpk.answer.dynamics import Curve, Passage, Rates, Transient, certify_curve
 from fpk.answer.method import Plan, Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable, observable_name
 from fpk.answer.question import Asked, answer
@@ -50,16 +53,18 @@ converge most slowly."""
 
 @dataclass(frozen=True)
 class PhaseSpace(Theory):
-    """Densities of displacements and momenta from the stationary FPK equation of Eq. (6) itself.
+    """Densities of displacements and momenta from the FPK equation of Eq. (6) itself.
 
-    The density is expanded in polynomials on panels of the displacement of the mass that meets the
-    stops, and in Hermite functions of all velocities and other displacements. The equations are
-    solved by elimination of levels of equal degree (``averaging.phase_space.equation``). There may
-    be three masses, stops on one of them, any noise and damping, and damping terms as far as memory
-    and work allow.
+    Of one mass the equation is solved by finite elements in the plane of displacement and velocity
+    (``averaging.phase_space.plane``), with any damping terms. Of two or three masses, with stops on
+    one of them, the density is expanded in polynomials on panels of its displacement and in Hermite
+    functions of all velocities and other displacements, and the equations are solved by elimination
+    of levels of equal degree (``averaging.phase_space.equation``), with damping terms as far as
+    memory and work allow. So are crossings, spectra, autocovariances and rates of one mass.
 
-    ``tol`` is the L1 tolerance of each density: degrees rise until the estimated error meets it, or
-    until memory, work or the highest degree ends the refinement, which the certificate then says.
+    ``tol`` is the L1 tolerance of each density: meshes are refined, or degrees rise, until the
+    estimated error meets it, or until memory, work or the highest degree ends the refinement, which
+    the certificate then says.
     ``accepted`` is the largest error that is certified in that case, and ``NotCertified`` is raised
     for a larger error; None: ``tol``, and the certificate of a larger error fails. ``memory``
     limits one solution, in GB, ``work`` its operations, None: in proportion to the memory, a minute
@@ -69,7 +74,7 @@ class PhaseSpace(Theory):
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
 
-    Crossings, spectrum, autocovariance, rates and first passage of one mass::
+    Crossings, spectrum, autocovariance, rates, density in time and first passage of one mass::
 
         stop = fpk.Contact(mass=1, side="both", stiffness=4.0, clearance=0.5)
         one = fpk.System([1.0], [1.0], [0.6], [0.3], contacts=(stop,))
@@ -77,6 +82,8 @@ class PhaseSpace(Theory):
         PhaseSpace().spectrum(one, parse_observable("q1", 1), np.linspace(0.0, 2.0, 5)).values
         PhaseSpace().correlation(one, parse_observable("q1", 1), np.linspace(0.0, 5.0, 5)).values
         PhaseSpace().relaxation(one, 2).values
+        q1, at = parse_observable("q1", 1), (np.array([0.0, 0.5]),)
+        PhaseSpace(tol=1e-3).transient(one, q1, REST, np.array([2.0, 10.0]), at).values
         PhaseSpace().passage(one, parse_limit("q1=1", 1), REST, np.array([10.0])).mean
     """
 
@@ -88,7 +95,7 @@ class PhaseSpace(Theory):
     threads: int | None = None
     reference: Reference | None = None
     method = "phase-space"
-    solvers = (("hermite", "full FPK equation, Hermite expansion", "(6)"),)
+    solvers = (("hermite", "full FPK equation", "(6)"),)
     colour = "#5e02e0"
 
     def __post_init__(self) -> None:
@@ -107,7 +114,7 @@ class PhaseSpace(Theory):
         self.planned(system, ())
         if system.n > UNASKED_MASSES:
             raise NotApplicable(f"{system.n} masses may take minutes; ask for it by its name")
-        if system.damping_terms:
+        if system.damping_terms and system.n > 1:
             raise NotApplicable("damping terms may take minutes; ask for it by its name")
         for closed in (Exact(), Linear()):
             if closed.refusal(system, (Coordinate("q", 0),)) is None:
@@ -122,7 +129,13 @@ class PhaseSpace(Theory):
 
     def prepare(self, system: System) -> Plan:
         """Return the plan for ``system``; raise ``NotApplicable`` as ``_frame`` does."""
+        ladders: Callable[..., Iterator[Ladder]]
+        of: Callable[..., Ladder]
         frame = self._frame(system)
+        if system.n == 1:
+            ladders, of = partial(plane_ladder, oscillator_of(system)), plane_ladder_of
+        else:
+            ladders, of = partial(solution_ladder, frame), ladder_of
 
         def refusal(observable: Observable) -> str | None:
             name = observable_name(observable)
@@ -136,7 +149,7 @@ class PhaseSpace(Theory):
         ) -> Result:
             # For each observable the solution with the smallest error.
             best: dict[Observable, Ladder] = {}
-            for ladder in solution_ladder(frame, observables, self._options(progress)):
+            for ladder in ladders(observables, self._options(progress)):
                 best = {o: better(best.get(o, ladder), ladder, o) for o in observables}
                 worst = max(own.errors[o] for o, own in best.items())
                 if worst <= self.tol:
@@ -144,7 +157,7 @@ class PhaseSpace(Theory):
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
             tol, limit = self.accepted or self.tol, ladder.limit
-            others = ladder_of(ladder.finest, ladder.coarser, beside) if beside else ladder
+            others = of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
                 tuple(
@@ -233,6 +246,12 @@ class PhaseSpace(Theory):
         )
 
     @answer
+    def transient(self, asked: Asked) -> Transient:
+        """Return the densities of q and p of one mass in time, by finite elements in the plane."""
+        asked = replace(asked, tol=asked.tol or self.tol)
+        return plane_transient(asked, self._options(asked.progress))
+
+    @answer
     def passage(self, asked: Asked) -> Passage:
         """Return the first passage of one mass, by finite elements of the backward equation."""
         return phase_space_passage(asked)
@@ -254,7 +273,7 @@ class PhaseSpace(Theory):
             raise NotApplicable(f"{system.n} masses have {2 * system.n} coordinates; {most}")
         frame = contact_frame(system)
         about = gibbs_reference(frame)
-        if system.damping_terms:
+        if system.damping_terms and system.n > 1:
             second = next_degrees(frame, lowest(frame), 0)
             if words := self._options().refusal(*solution_cost(basis(frame, about, second))):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -90,7 +91,7 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Two successive solutions and the estimated L1 errors of the finer solution.
+    """Two successive solutions, expansions or on meshes, and the estimated L1 errors of the finer.
 
     For each observable ``errors`` is the L1 error of its density, ``factors`` the error over the L1
     distance of the two solutions, ``believed`` the distance that the error is computed from.
@@ -98,8 +99,8 @@ class Ladder:
     of solutions computed.
     """
 
-    finest: Expansion
-    coarser: Expansion
+    finest: Any
+    coarser: Any
     errors: dict[Observable, float]
     factors: dict[Observable, float]
     believed: dict[Observable, float]
@@ -219,7 +220,7 @@ def least_distance(a: Expansion, b: Expansion) -> float:
     return LEAST_RATIO * max(solution_distance(a, b, o) for o in single)
 
 
-def solution_distance(a: Expansion, b: Expansion, observable: Observable) -> float:
+def solution_distance(a: Any, b: Any, observable: Observable) -> float:
     """Return ∫|p_a − p_b| of the densities of ``observable`` on the panels of both."""
     first, p = marginal(a, observable)
     second, q = marginal(b, observable)

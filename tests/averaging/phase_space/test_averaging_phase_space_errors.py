@@ -13,7 +13,6 @@ from test_averaging_phase_space import common, drawn, stop
 
 import fpk
 from averaging.phase_space import refinement
-from averaging.phase_space.densities import expansion_density
 from averaging.phase_space.equation import elimination
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import Degrees, fitting_degrees
@@ -71,8 +70,8 @@ MANY = {
 
 @pytest.mark.parametrize(
     ("name", "work"),
-    [("one mass, v²", 3e7), ("one mass", 1e6)]
-    + [pytest.param(name, 2e10, marks=pytest.mark.slow) for name in list(MANY)[1:]],
+    [("one mass, v²", 8e9)]
+    + [pytest.param(name, 2e10, marks=pytest.mark.slow) for name in list(MANY)[2:]],
 )
 def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
     name, work, monkeypatch
@@ -87,8 +86,7 @@ def test_a_smaller_tolerance_gives_no_larger_error_and_none_below_the_true_one(
 
     monkeypatch.setattr(refinement, "expand", expand)
     observables = [parse_observable(f"{c}{i + 1}", system.n) for c in "qp" for i in range(system.n)]
-    *_, finest = solutions(system, 8.0 * work, observables=observables)
-    references = [expansion_density(finest, o, np.inf) for o in observables]
+    references = PhaseSpace(tol=1e-12, work=4.0 * work).solve(system, observables).densities
     before = np.full(len(observables), np.inf)
     for tol in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
         answers = PhaseSpace(tol=tol, work=work).solve(system, observables).densities

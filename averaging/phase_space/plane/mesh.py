@@ -1,19 +1,15 @@
-"""The oscillator of one mass, and meshes of its states within a limit |q| < b or H < E."""
+"""Meshes of the states of one mass within a limit |q| < b or H < E."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import asin, ceil, inf, log, pi, sqrt
+from math import asin, ceil, log, pi, sqrt
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.optimize import brentq
 
-from averaging.phase_space.equation.frame import contact_frame
+from averaging.phase_space.plane.oscillator import Oscillator
 from fpk.numeric.arrays import EPS, SMALLEST, Array
-from fpk.numeric.errors import NotApplicable
-from fpk.system.modulation import require_constant_noise
-from fpk.system.system import System
 
 GRADED = 1.1
 """Largest panel over its distance to a glancing point, where q scales as v³, or a turning point."""
@@ -25,95 +21,10 @@ LEAST, CLOSER = 0.15, 0.45
 force; ratio of the smallest panels of successive levels."""
 STOP_GRADING = 1.5
 """Largest panel over its distance to a stop whose force is a fractional power of the overlap."""
+SMOOTH_DEGREE = 8
+"""Degree on meshes of densities that are nearly 0 at the limit."""
 LENGTH_SAMPLES = 401
 """Points on each half of an interval at which the length of panels is evaluated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Oscillator:
-    """dq = v dt, m dv = −(c v + V'(q)) dt + √(2D) dB: Eq. (6) of one mass, v = p/m.
-
-    ``mass`` m, ``damping`` c, ``noise`` D. ``potential`` V has its only minimum, 0, at q = 0;
-    ``force`` is V'; ``even``: V(−q) = V(q). ``stops`` are (q, side) at which V' is not smooth, side
-    −1 or 1 if V' is a fractional power of the overlap on that side, else 0. ``frequency`` is the
-    angular frequency of small oscillations between the stops, 0 without a linear force.
-    """
-
-    mass: float
-    damping: float
-    noise: float
-    potential: Callable[[Array], Array]
-    force: Callable[[Array], Array]
-    stops: tuple[tuple[float, float], ...] = ()
-    even: bool = True
-    frequency: float = 0.0
-
-    @property
-    def inverse_temperature(self) -> float:
-        """c/D; the stationary density is proportional to exp(−c H/D)."""
-        return self.damping / self.noise
-
-    @property
-    def diffusion(self) -> float:
-        """D/m², half of σ² of the velocity: dv = … + √(2 D/m²) dB."""
-        return self.noise / self.mass**2
-
-    def energy(self, q: Array, v: Array) -> Array:
-        """Return the energy H of displacements ``q`` and velocities ``v``."""
-        return np.asarray(0.5 * self.mass * v * v + self.potential(q))
-
-    def speed(self, q: Array, energy: float) -> Array:
-        """Return |v| at ``q`` on the orbit of ``energy``, 0 beyond its turning points."""
-        return np.sqrt(2.0 / self.mass * np.maximum(energy - self.potential(q), 0.0))
-
-    def turning_point(self, energy: float, side: float) -> float:
-        """Return q with V(q) = ``energy`` > 0 on the left (``side`` −1) or right (``side`` 1)."""
-
-        def excess(q: float) -> float:
-            return float(self.potential(np.array(q))) - energy
-
-        far = side
-        while excess(far) < 0.0:
-            far *= 2.0
-        return float(brentq(excess, 0.0, far, xtol=SMALLEST))
-
-    def travel(self, length: float) -> float:
-        """Return the time in which noise moves q by 2 ``length`` rms, at most half a period."""
-        cycle = pi / self.frequency if self.frequency else inf
-        return min(cycle, float((6.0 * length**2 / self.diffusion) ** (1.0 / 3.0)))
-
-    def kick(self, length: float) -> float:
-        """Return the rms change of v by noise in the time ``travel(length)``, or m/(2c) if less."""
-        memory = 0.5 * self.mass / self.damping if self.damping else inf
-        return sqrt(2.0 * self.diffusion * min(self.travel(length), memory))
-
-
-def oscillator_of(system: System) -> Oscillator:
-    """Return the one mass of ``system`` as an oscillator.
-
-    Raises ``NotApplicable`` for more masses, damping terms, or noise that is absent or modulated.
-    """
-    require_constant_noise(system.modulation)
-    words = "first passage in phase space is solved for"
-    if system.n != 1:
-        raise NotApplicable(f"{words} one mass, and there are {system.n}")
-    if system.damping_terms:
-        raise NotApplicable(f"{words} constant damping only")
-    noise = float(system.noise_matrix[0, 0])
-    if not noise > 0.0:
-        raise NotApplicable("there is no noise, and first passage is not random")
-    frame, k, mass = contact_frame(system), system.stiffness_matrix[0, 0], float(system.mass[0])
-    stops = [(s, 0.0 if s.power == int(s.power) else s.sign) for s in system.stops]
-    return Oscillator(
-        mass,
-        float(system.damping[0, 0]),
-        noise,
-        lambda q: np.asarray(0.5 * k * q * q + system.contact_energy(0, q)),
-        lambda q: np.asarray(k * q + frame.root * frame.contact_force(frame.root * q)),
-        tuple((s.sign * s.clearance, side) for s, side in stops),
-        frame.symmetric,
-        sqrt(k / mass),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +44,11 @@ class Mesh:
     centre: float
     radius: float
     folded: bool
+
+    @property
+    def functions_of_s(self) -> int:
+        """Number of functions of s."""
+        return (self.s.size - 1) * self.degree + 1
 
     def q(self, x: Array) -> tuple[Array, Array]:
         """Return q and dq/dx at ``x``."""
@@ -192,12 +108,17 @@ def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Me
     return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
 
 
-def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
-    """Return the mesh of ``level`` of states with H < ``energy``."""
+def energy_mesh(o: Oscillator, energy: float, level: int, panel: float | None = None) -> Mesh:
+    """Return the mesh of ``level`` of states with H < ``energy``.
+
+    Panels are graded towards the limit, and their length follows from ``Oscillator.kick``. For
+    states that hardly ever come near the limit, ``panel`` is instead the length of the panels over
+    the largest speed, the degree ``SMOOTH_DEGREE``, and there is no grading towards the limit.
+    """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = (0.0, right) if o.even else (0.5 * (left + right), 0.5 * (right - left))
     swift = sqrt(2.0 * energy / o.mass)
-    step = PANEL * FINER**level * o.kick(radius)
+    step = PANEL * FINER**level * o.kick(radius) if panel is None else panel * swift
     pull = float(np.abs(o.force(np.array([left, right]))).max()) / o.mass
     slow = min(2.0 * o.diffusion / (pull * swift), 1.0)
 
@@ -205,13 +126,16 @@ def energy_mesh(o: Oscillator, energy: float, level: int) -> Mesh:
         q = centre + radius * np.sin(x)
         slope = radius * np.maximum(np.cos(x), 1e-3)
         smooth = _smooth_step(o, q, step, swift, level) / slope
+        if panel is not None:
+            return smooth
         return np.asarray(np.minimum(smooth, GRADED * (0.5 * pi - np.abs(x) + 0.3 * slow)))
 
     inside = [asin((q - centre) / radius) for q, _ in o.stops if left < q < right]
     first, last = 0.0 if o.even else -0.5 * pi, 0.5 * pi
     x = _nodes_at([first, *(a for a in inside if a > first), last], along, {})
     s = np.linspace(-1.0, 1.0, 1 + 2 * ceil(swift / step))
-    return Mesh(o, x, s, 5 + 2 * level, energy, centre, radius, o.even)
+    degree = 5 + 2 * level if panel is None else SMOOTH_DEGREE
+    return Mesh(o, x, s, degree, energy, centre, radius, o.even)
 
 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:

@@ -1,7 +1,7 @@
 """Finite elements of the backward equation −L u = f of one mass, u = 0 beyond the limit."""
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from math import pi
 from typing import Any
 
@@ -12,7 +12,8 @@ from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
-from averaging.phase_space.passage.mesh import Mesh
+from averaging.phase_space.plane.mesh import Mesh
+from averaging.phase_space.plane.oscillator import weighted
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
@@ -53,7 +54,7 @@ def factorise_sparse(matrix: csc_array) -> Any:
 class Elements:
     """The backward equations L T = −1, L T₂ = −2 T and ∂u/∂t = L u on ``mesh``.
 
-    ``K`` and ``M`` are the matrices of −L and of 1 in L²(exp(−c H/D)). Functions are continuous in
+    ``K`` and ``M`` are the matrices of −L and of 1 in L²(exp(−Ψ(H))). Functions are continuous in
     s, may jump between panels of x (upwind fluxes), and are divided by their norms. Vectors are
     (unknowns,): ``one`` the coefficients of the function 1, ``load`` the scalar products of 1,
     ``exit`` the scalar products of −L 1, the flux through the limit, which computed as K ``one``
@@ -71,19 +72,14 @@ class Elements:
 
     def at(self, q: Array, v: Array, weights: Array) -> Array:
         """Return the vector x, Σ ``weights`` u(``q``, ``v``) = x·u, of states within the limit."""
-        m, n = self.mesh, self.mesh.degree + 1
-        places, values = [], []
-        for nodes, t in zip((m.x, m.s), m.coordinates(q, v), strict=True):
-            k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
-            local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
-            places.append(k[:, None] * (n if nodes is m.x else m.degree) + np.arange(n))
-            values.append(shapes(m.degree, local)[0])
-        size = (m.s.size - 1) * m.degree + 1
-        functional = np.zeros((m.x.size - 1) * n * size)
-        place = places[0][:, :, None] * size + places[1][:, None, :]
-        np.add.at(
-            functional, place, weights[:, None, None] * values[0][:, :, None] * values[1][:, None]
+        m, (x, s) = self.mesh, self.mesh.coordinates(q, v)
+        (row, a), (column, b) = (
+            panel_functions(m.x, m.degree, x, shared=0),
+            panel_functions(m.s, m.degree, s),
         )
+        functional = np.zeros((m.x.size - 1) * (m.degree + 1) * m.functions_of_s)
+        place = row[:, :, None] * m.functions_of_s + column[:, None, :]
+        np.add.at(functional, place, weights[:, None, None] * a[:, :, None] * b[:, None])
         return np.asarray(functional[self.free] / self.one)
 
     @cached_property
@@ -116,20 +112,25 @@ class Elements:
         second = 2.0 * float(y @ (self.M @ self.mean)) * mean / float(start @ self.mean)
         return mean, second, abs(factor - 1.0)
 
-    def rate(self) -> float:
-        """Return the failure rate, the least eigenvalue of −L: outflow over mass of its density."""
+    def slowest(self) -> tuple[float, Array]:
+        """Return the least eigenvalue of −L and the coefficients (unknowns,) of its density.
+
+        The eigenvalue is the failure rate, outflow over mass; the mass of the density is 1.
+        """
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
         options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
         _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
-        y = y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]
-        return float(np.real(y @ self.exit) / np.real(y @ self.load))
+        # Once more, refined: what ARPACK leaves is above round-off where K is ill-conditioned.
+        density = self.solve(self.M.T @ np.real(y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0]), "T")
+        density /= density @ self.load
+        return float(density @ self.exit), density
 
     @cached_property
     def shifted(self) -> tuple[float, Any]:
         """σ, four times the frequency or less under strong damping, and the factors of K + σM."""
         o = self.mesh.oscillator
         frequency = pi / o.travel(self.mesh.radius)
-        sigma = 4.0 * frequency / (1.0 + o.damping / (o.mass * frequency))
+        sigma = 4.0 * frequency / (1.0 + max(o.damping, 0.0) / (o.mass * frequency))
         return sigma, factorise_sparse(csc_array(self.K + sigma * self.M))
 
     def mass_defect(self, start: Array) -> float:
@@ -179,27 +180,46 @@ class Elements:
         return last, np.maximum(change, RELIABILITY_SHARE * before)
 
 
-def shapes(degree: int, t: Array) -> tuple[Array, Array]:
-    """Return values and slopes (points, degree + 1) at ``t``, −1 to 1, of the Lobatto polynomials.
+def panel_functions(
+    nodes: Array, degree: int, t: Array, *, shared: int = 1
+) -> tuple[Integers, Array]:
+    """Return the numbers and values (..., degree + 1) of the functions that are not 0 at ``t``.
+
+    Neighbouring panels between ``nodes`` share ``shared`` functions.
+    """
+    k = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, nodes.size - 2)
+    local = 2.0 * (t - nodes[k]) / (nodes[k + 1] - nodes[k]) - 1.0
+    number = k[..., None] * (degree + 1 - shared) + np.arange(degree + 1)
+    return number, legvander(local, degree) @ _to_lobatto(degree)
+
+
+@lru_cache
+def _to_lobatto(degree: int) -> Array:
+    """Return the Legendre coefficients of the Lobatto polynomials, one column each.
 
     They are the Lagrange polynomials of the Lobatto nodes; hierarchical polynomials would lose all
     digits on a panel over which the weight falls by e²⁰.
     """
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
-    inverse = np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
-    return legvander(t, degree) @ inverse, legval(t, legder(np.eye(degree + 1))).T @ inverse
+    return np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
 
 
 def assemble_backward(mesh: Mesh) -> Elements:
     """Return the matrices and vectors on ``mesh``.
 
     They are of the backward operator in the coordinates (q, s), v = s w, times −w:
-    −L u = −s w u_q − w' (1 − s²) u_s − exp(αmv²/2) (D/m²)/w² ∂_s exp(−αmv²/2) u_s, α = c/D,
-    w' = −V'/(m w); for w = 1 the second term is V'/m u_v.
+    −L u = −s w u_q − w' (1 − s²) u_s + (c − D Ψ')/m s u_s − exp(Ψ) (D/m²)/w² ∂_s exp(−Ψ) u_s,
+    w' = −V'/(m w); for w = 1 the second term is V'/m u_v. The weight exp(−Ψ(H)) is that of
+    ``weighted`` on the energies of the mesh.
     """
+    reach = mesh.oscillator.energy(
+        mesh.q(mesh.x)[0][:, None], mesh.s * mesh.w(mesh.q(mesh.x)[0])[:, None]
+    )
+    mesh = replace(mesh, oscillator=weighted(mesh.oscillator, float(np.max(reach))))
     o, n, panels, across = mesh.oscillator, mesh.degree + 1, mesh.x.size - 1, mesh.s.size - 1
     t, weight = gauss_legendre(mesh.degree + EXTRA_POINTS)
-    B, D = shapes(mesh.degree, t)
+    to = _to_lobatto(mesh.degree)
+    B, D = legvander(t, mesh.degree) @ to, legval(t, legder(np.eye(mesh.degree + 1))).T @ to
     BB, BD, DD = (
         np.einsum("gi,gk->gik", a, b).reshape(t.size, -1) for a, b in ((B, B), (B, D), (D, D))
     )
@@ -210,8 +230,12 @@ def assemble_backward(mesh: Mesh) -> Elements:
     q, slope, w, force = (a[:, None, :, None] for a in (q, slope, mesh.w(q), o.force(q)))
     v = s[:, None, :] * w
     bend = 1.0 if mesh.energy is None else 1.0 - s[:, None, :] ** 2
-    area = np.exp(-o.inverse_temperature * o.energy(q, v)) * weight[:, None] * weight
-    turn = area * hx * slope * force / o.mass * bend
+    psi = o.psi
+    H = o.energy(q, v)
+    area = np.exp(-psi(H)) * weight[:, None] * weight
+    turn = (
+        area * hx * slope * (force * bend + (o.drag(q, v) - o.noise * psi.deriv()(H)) * v) / o.mass
+    )
     spread = area * hx / hs * slope * o.diffusion / w
     flow = area * hs * v * w  # dq/dx cancels
     local = BB.T @ turn @ BD + BB.T @ spread @ DD - BD.T @ flow @ BB
@@ -233,7 +257,7 @@ def assemble_backward(mesh: Mesh) -> Elements:
     )
     ends = mesh.q(mesh.x)[0][:, None, None]
     w = mesh.w(ends)
-    density = np.exp(-o.inverse_temperature * o.energy(ends, s * w))
+    density = np.exp(-psi(o.energy(ends, s * w)))
     block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
     first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
     index = [np.broadcast_to(first + at, block.shape) for at in (of_s[:, :, None], of_s[:, None])]

@@ -2,25 +2,19 @@
 
 from functools import partial
 from itertools import count
-from math import log
 from typing import Any
 
 import numpy as np
 
-from averaging.phase_space.passage.elements import Elements, assemble_backward
-from averaging.phase_space.passage.mesh import (
-    Oscillator,
-    displacement_mesh,
-    energy_mesh,
-    oscillator_of,
-)
+from averaging.phase_space.plane.elements import Elements, assemble_backward
+from averaging.phase_space.plane.mesh import displacement_mesh, energy_mesh
+from averaging.phase_space.plane.oscillator import FALL, States, averaged_fall, orbit, oscillator_of
 from fpk.answer.certificate import DISTANCE_FACTOR, tolerance
 from fpk.answer.dynamics import Passage, certify_passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
-from fpk.numeric.quadrature import panel_rule
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
 """Default tolerances: for a limit of the energy, and of the displacement, which takes longer."""
@@ -30,8 +24,6 @@ one level to the next and errors fall by factors of 15 to 1000."""
 CHANCE_SHARE = 0.5
 """Least error of each quantity as a share of the largest relative difference of all quantities of
 two levels: one quantity may agree by chance."""
-States = tuple[Array, Array, Array]
-"""Displacements, velocities and weights of states, (states,) each."""
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
 """Results on one mesh: (E T, E T², rate of failure, E T of each probe over E T of the start); P(T
 <= t) at the times; its change by the last Krylov vectors; the relative round-off of the first
@@ -67,8 +59,9 @@ def phase_space_passage(asked: Asked) -> Passage:
         raise InvalidInput("start", str(start), "is at or beyond the limit")
     tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
     top = most if of_energy else float(o.potential(np.array([-most, most])).min())
+    psi = averaged_fall(o, max(top, energy))
     for what, height in (("limit", top), ("energy of the start", energy)):
-        if (fall := o.inverse_temperature * height) > -log(EPS):
+        if (fall := psi(height)) > FALL:
             words = f"up to it the density falls by exp(−{fall:.0f})"
             raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
     # Probe states at half the energy of the limit, in eight directions.
@@ -100,29 +93,6 @@ def phase_space_passage(asked: Asked) -> Passage:
     return answer
 
 
-def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
-    """Return the states of an ``energy``, weighted by the time that the free motion spends in each.
-
-    Only states with |q| < ``within`` are returned (None: all); their weights add up to the share
-    of time there. Each piece between turning points, stops and limit has ``points`` Gauss points in
-    θ, q = centre + radius sin θ, in which dt = dq/|v| is smooth.
-    """
-    left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
-    centre, radius = 0.5 * (left + right), 0.5 * (right - left)
-    cuts = [*(q for q, _ in o.stops), 0.0, *((-within, within) if within else ())]
-    angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
-    # No piece begins right next to a turning point, where E − V has too few digits.
-    edges = np.unique(np.concatenate([[-0.5 * np.pi, 0.5 * np.pi], angles]))
-    theta, w = (a.ravel() for a in panel_rule(edges, points))
-    q = centre + radius * np.sin(theta)
-    v = o.speed(q, energy)
-    weights = w * radius * np.cos(theta) / v
-    weights = 0.5 * weights / weights.sum()
-    q, v, weights = np.tile(q, 2), np.concatenate([v, -v]), np.tile(weights, 2)
-    inside = np.abs(q) < (within or np.inf)
-    return q[inside], v[inside], weights[inside]
-
-
 def _level_results(
     e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
 ) -> Level:
@@ -148,7 +118,7 @@ def _level_results(
     }
     defect = np.max(np.abs(e.load - e.K @ e.mean)) / np.max(abs(e.K) @ np.abs(e.mean))
     stated = {"mass_defect": e.mass_defect(start), "residual": float(defect), "settings": settings}
-    numbers = np.array([mean, second, e.rate(), *(np.array(others) / own)])
+    numbers = np.array([mean, second, e.slowest()[0], *(np.array(others) / own)])
     return numbers, failure, krylov, ROUNDINGS * EPS + (own / mean - 1.0) ** 2, stated
 
 
