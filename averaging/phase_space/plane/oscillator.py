@@ -105,7 +105,7 @@ def oscillator_of(system: System) -> Oscillator:
     """
     require_constant_noise(system.modulation)
     if system.n != 1:
-        words = "first passage in phase space is solved for one mass"
+        words = "the full equation in time is solved for one mass"
         raise NotApplicable(f"{words}, and there are {system.n}")
     noise = float(system.noise_matrix[0, 0])
     if not noise > 0.0:
