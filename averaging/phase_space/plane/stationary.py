@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count
 from math import ceil
 
@@ -91,14 +92,20 @@ class PlaneState:
         q, w = q.ravel(), (w * slope).ravel()
         return (np.append(-q[::-1], q), np.append(w[::-1], w)) if m.folded else (q, w)
 
-    def mean(self, function: Callable[[Array, Array], Array]) -> float:
-        """Return the mean of a function of displacement and velocity."""
+    @cached_property
+    def _measure(self) -> tuple[Array, Array, Array]:
+        """Displacements (rows, 1), velocities and shares of the mass (rows, columns) of a rule."""
         m = self.mesh
         (q, of_q), s = self.rule(), panel_rule(m.s, m.degree + EXTRA_POINTS)
         w = m.w(q)[:, None]
         v = s[0].ravel() * w
-        p = self.density(q[:, None], v)
-        return float(of_q @ (p * function(q[:, None], v) * w) @ s[1].ravel())
+        shares = self.density(q[:, None], v) * (of_q[:, None] * w * s[1].ravel())
+        return q[:, None], v, shares
+
+    def mean(self, function: Callable[[Array, Array], Array]) -> float:
+        """Return the mean of a function of displacement and velocity."""
+        q, v, shares = self._measure
+        return float(np.sum(shares * function(q, v)))
 
 
 def stationary_state(mesh: Mesh) -> PlaneState:
