@@ -71,7 +71,7 @@ class Gaussian:
     ``factor`` is F (2n, k), F Fᵀ the covariance; ``relative_error`` bounds the relative error of
     the variance xᵀ F Fᵀ x of any x. ``scales`` λ (k,) and ``scale_errors`` (k,) are energies, G_j
     has the gamma distribution of ``shape`` and scale 1 (``gamma_sum``). ``residual`` is the
-    relative residual of the equation that the state solves.
+    relative residual of the equation that the state solves, None if it solves none.
     """
 
     factor: Array
@@ -79,7 +79,7 @@ class Gaussian:
     scales: Array
     shape: float
     scale_errors: Array
-    residual: float
+    residual: float | None
 
     def refusal(self, observable: Observable) -> str | None:
         """Return in words that one of two coordinates is a multiple of the other, else None."""
@@ -360,7 +360,7 @@ class Linear(Theory):
             variance, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
             factor = scale[:, None] * axes * np.sqrt(np.maximum(variance, 0.0))
             rounding = FLOW_ROUND_OFF * EPS * n * (1.0 + t * float(np.linalg.norm(A, 2)))
-            gaussian = Gaussian(factor, rounding, np.ones(1), 0.5, np.zeros(1), 0.0)
+            gaussian = Gaussian(factor, rounding, np.ones(1), 0.5, np.zeros(1), None)
             density = gaussian.density(asked.observable, tol=tol)
             x = [np.asarray(a) - (flow @ mean)[row] for a, row in zip(asked.at, rows, strict=True)]
             densities.append(density)

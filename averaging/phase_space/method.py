@@ -55,9 +55,9 @@ converge most slowly."""
 class PhaseSpace(Theory):
     """Densities of displacements and momenta from the FPK equation of Eq. (6) itself.
 
-    Of one mass the equation is solved by finite elements in the plane of displacement and velocity
-    (``averaging.phase_space.plane``), with any damping terms. Of two or three masses, with stops on
-    one of them, the density is expanded in polynomials on panels of its displacement and in Hermite
+    The equation of one mass is solved by finite elements in the plane of displacement and velocity
+    (``averaging.phase_space.plane``), with any damping terms. For two or three masses, with stops
+    on one, the density is expanded in polynomials on panels of its displacement and in Hermite
     functions of all velocities and other displacements, and the equations are solved by elimination
     of levels of equal degree (``averaging.phase_space.equation``), with damping terms as far as
     memory and work allow. So are crossings, spectra, autocovariances and rates of one mass.

@@ -73,10 +73,8 @@ class Elements:
     def at(self, q: Array, v: Array, weights: Array) -> Array:
         """Return the vector x, Σ ``weights`` u(``q``, ``v``) = x·u, of states within the limit."""
         m, (x, s) = self.mesh, self.mesh.coordinates(q, v)
-        (row, a), (column, b) = (
-            panel_functions(m.x, m.degree, x, shared=0),
-            panel_functions(m.s, m.degree, s),
-        )
+        row, a = panel_functions(m.x, m.degree, x, shared=0)
+        column, b = panel_functions(m.s, m.degree, s)
         functional = np.zeros((m.x.size - 1) * (m.degree + 1) * m.functions_of_s)
         place = row[:, :, None] * m.functions_of_s + column[:, None, :]
         np.add.at(functional, place, weights[:, None, None] * a[:, :, None] * b[:, None])

@@ -8,13 +8,21 @@ import numpy as np
 
 from averaging.phase_space.plane.elements import Elements, assemble_backward
 from averaging.phase_space.plane.mesh import displacement_mesh, energy_mesh
-from averaging.phase_space.plane.oscillator import FALL, States, averaged_fall, orbit, oscillator_of
+from averaging.phase_space.plane.oscillator import (
+    FALL,
+    States,
+    averaged_fall,
+    orbit,
+    oscillator_of,
+    require_start,
+    require_total,
+)
 from fpk.answer.certificate import DISTANCE_FACTOR, tolerance
 from fpk.answer.dynamics import Passage, certify_passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
-from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.errors import InvalidInput, NotCertified
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
 """Default tolerances: for a limit of the energy, and of the displacement, which takes longer."""
@@ -41,12 +49,8 @@ def phase_space_passage(asked: Asked) -> Passage:
     """
     times, o = require_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
-    for what, given in (("limit", limit), ("start", start)):
-        if given.kind == "modal" and asked.system.contacts:
-            words = "the energy of a mode is that of one mass without stops; ask for H"
-            raise NotApplicable(f"{what} {given}: {words}")
-    if start.kind == "noise" and start.values["noise"] > 0.0:
-        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
+    require_total("limit", limit, asked.system)
+    require_start(start, asked.system)
     most, of_energy = limit.value, limit.kind != "q"
     on_orbit, q = start.kind in ("energy", "modal") and not start.rest, np.zeros(1)
     if on_orbit:

@@ -9,6 +9,7 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.frame import contact_frame
+from fpk.answer.names import Limit, Start
 from fpk.numeric.arrays import EPS, SMALLEST, Array
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.numeric.quadrature import panel_rule
@@ -133,6 +134,23 @@ def oscillator_of(system: System) -> Oscillator:
     )
 
 
+def require_start(start: Start, system: System) -> None:
+    """Raise ``NotApplicable`` for a stationary ``start``, and as ``require_total``."""
+    if start.kind == "noise" and start.values["noise"] > 0.0:
+        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
+    require_total("start", start, system)
+
+
+def require_total(what: str, given: Start | Limit, system: System) -> None:
+    """Raise ``NotApplicable`` if ``given`` is of a mode's energy and there are stops.
+
+    ``what`` is "limit" or "start", for the message.
+    """
+    if given.kind == "modal" and system.contacts:
+        words = "the energy of a mode is that of one mass without stops; ask for H"
+        raise NotApplicable(f"{what} {given}: {words}")
+
+
 def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
     """Return the states of an ``energy``, weighted by the time that the free motion spends in each.
 
@@ -161,7 +179,7 @@ def averaged_fall(o: Oscillator, top: float) -> Polynomial:
 
     Ψ' = <c v²>/(D <v²>), means over the time of an orbit: exp(−Ψ(H)) is the stationary density of
     (q, v) by energy averaging, Eq. (11). Without damping terms it is exact, c/D; else Ψ' is a
-    polynomial fitted to the means, and Ψ known to a few tenths.
+    polynomial fitted to the means.
     """
     if o.terms is None:
         psi = o.psi

@@ -45,18 +45,19 @@ OUTFLOW = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class PlaneState:
-    """A density of (q, v) within the limit of ``mesh``, by elements.
+    """A density of (q, v) within the limit of the energy of ``mesh``, by elements.
 
     ``table`` are the coefficients (functions of x, functions of s) of its ratio to the weight
-    exp(−Ψ(H)). ``unknowns`` of the equations, ``residual`` of the density's equation relative to
-    the terms that cancel in it, ``outflow`` the rate at which mass passes the limit.
+    exp(−Ψ(H)). ``unknowns`` of the equations; of a stationary density ``residual`` is that of its
+    equation relative to the terms that cancel in it, and ``outflow`` the rate at which mass passes
+    the limit; of a density in time None and NaN.
     """
 
     mesh: Mesh
     table: Array
     unknowns: int
-    residual: float
-    outflow: float
+    residual: float | None = None
+    outflow: float = np.nan
 
     def density(self, q: Array, v: Array) -> Array:
         """Return the density of displacement and velocity (...), which broadcast; 0 beyond the
@@ -71,7 +72,8 @@ class PlaneState:
         row, a = panel_functions(m.x, m.degree, x, shared=0)
         of_s = np.einsum("pi,pik->pk", a, self.table[row])
         H = o.energy(q, v)
-        inside = (m.energy > H) if m.energy else (np.abs(q) + 0.0 * v < m.radius)
+        assert m.energy is not None
+        inside = m.energy > H
         v = np.where(q < 0.0, -v, v) if m.folded else v
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.where(inside, v / m.w(q), 0.0)
@@ -119,7 +121,9 @@ def stationary_state(mesh: Mesh) -> PlaneState:
     return state_of(e, y, residual=float(residual), outflow=rate)
 
 
-def state_of(e: Elements, y: Array, *, residual: float, outflow: float) -> PlaneState:
+def state_of(
+    e: Elements, y: Array, *, residual: float | None = None, outflow: float = np.nan
+) -> PlaneState:
     """Return the density with the coefficients ``y`` (unknowns,), see ``PlaneState``."""
     mesh = e.mesh
     table = np.zeros(((mesh.x.size - 1) * (mesh.degree + 1), mesh.functions_of_s))
@@ -164,7 +168,7 @@ def _(e: PlaneState) -> dict[str, str | float | int]:
         "solved_by": "finite elements in the plane of displacement and momentum",
         "unknowns": e.unknowns,
         "degree": e.mesh.degree,
-        "limit of the energy": float(e.mesh.energy or np.inf),
+        "limit of the energy": e.mesh.energy or np.inf,
         "rate of passing it": e.outflow,
         "E q1²": e.mean(lambda q, v: q**2 + 0.0 * v),
         "E p1²": e.mean(lambda q, v: (o.mass * v) ** 2 + 0.0 * q),

@@ -25,6 +25,7 @@ from averaging.phase_space.plane.oscillator import (
     orbit,
     oscillator_of,
     rarest_energy,
+    require_start,
 )
 from averaging.phase_space.plane.stationary import (
     BYTES,
@@ -56,12 +57,7 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
     if any(c.kind == "H" for c in observable):
         words = "in phase space the densities of q and p are given, not those of energies"
         raise NotApplicable(f"{observable_name(observable)}: {words}")
-    if start.kind == "modal" and system.contacts:
-        raise NotApplicable(
-            f"start {start}: the energy of a mode is that of one mass without stops"
-        )
-    if start.kind == "noise" and start.values["noise"] > 0.0:
-        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
+    require_start(start, system)
     if start.kind in ("energy", "modal") and not start.rest:
         (energy,) = start.values.values()
         states: Callable[[int], States] = lambda points: orbit(o, energy, None, points)  # noqa: E731
@@ -87,7 +83,8 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
             e = assemble_backward(mesh)
             now, changed = evolved(e, e.at(*states(4 * mesh.degree)), times, asked.tol)
             lost = abs(1.0 - float(now[-1].table.flat[e.free] @ (e.load * e.one)))
-            if lost < OUTFLOW:
+            # Krylov spaces do not keep the mass: what they miss is in the stated error.
+            if lost < OUTFLOW + changed[-1]:
                 break
             top *= HIGHER
         if level > 1 and limit:
@@ -146,5 +143,5 @@ def evolved(
         last = now
         if np.max(changes[-1]) <= RELIABILITY_SHARE * tol and np.max(changes[-2]) <= tol:
             break
-    states = [state_of(e, y @ V, residual=0.0, outflow=0.0) for y in last]
+    states = [state_of(e, y @ V) for y in last]
     return states, changes[-1].tolist()
