@@ -38,7 +38,7 @@ def krylov(
         nonlocal rows
         along = np.zeros(rows + 1, dtype=first.dtype)
         for _ in range(2):
-            part = MV[:rows].conj() @ new
+            part = (MV[:rows] @ new.conj()).conj()  # copies no vectors of the space
             new = new - part @ V[:rows]
             along[:rows] += part
         image = new if metric is None else metric(new)

@@ -23,8 +23,13 @@ POINTS_PER_WIDTH = 4.0
 each degree: 137 points integrate a Gaussian over 34 standard deviations to round-off."""
 
 
-def moments(e: Expansion) -> tuple[Array, Array]:
-    """Return mean (2n,) and covariance (2n, 2n) of (y, r, v), see ``Frame``, from levels 0 to 2."""
+@singledispatch
+def moments(e: Any) -> tuple[Array, Array]:
+    """Return mean (2n,) and covariance (2n, 2n) of (y, r, v), see ``Frame``.
+
+    ``e`` is an ``Expansion``, of which levels 0 to 2 contain them, or another solution that is
+    registered.
+    """
     b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
     u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
     # First and second moments of (y, v, x); then of (y, r, v).

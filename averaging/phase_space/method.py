@@ -15,6 +15,7 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import lowest, next_degrees
 from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
+from averaging.phase_space.plane.dynamics import uniform_ladder
 from averaging.phase_space.plane.first_passage import phase_space_passage
 from averaging.phase_space.plane.oscillator import oscillator_of
 from averaging.phase_space.plane.stationary import plane_ladder, plane_ladder_of
@@ -60,7 +61,7 @@ class PhaseSpace(Theory):
     on one, the density is expanded in polynomials on panels of its displacement and in Hermite
     functions of all velocities and other displacements, and the equations are solved by elimination
     of levels of equal degree (``averaging.phase_space.equation``), with damping terms as far as
-    memory and work allow. So are crossings, spectra, autocovariances and rates of one mass.
+    memory and work allow.
 
     ``tol`` is the L1 tolerance of each density: meshes are refined, or degrees rise, until the
     estimated error meets it, or until memory, work or the highest degree ends the refinement, which
@@ -173,7 +174,8 @@ class PhaseSpace(Theory):
     @answer
     def crossings(self, asked: Asked) -> Curve:
         """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
-        levels = partial(dynamics.about_levels, row=asked.row, at=asked.at)
+        frame = self._frame(asked.system)
+        levels = partial(dynamics.about_levels, frame=frame, row=asked.row, at=asked.at)
         return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
 
     @answer
@@ -193,8 +195,9 @@ class PhaseSpace(Theory):
         frame, wanted = self._frame(asked.system), asked.tol or RELAXATION_TOL
         options, momentum = self._options(asked.progress), (Coordinate("p", frame.contact),)
         measure = partial(dynamics.relaxation, count=asked.count, work=options.work)
+        ladders = self._ladders(frame, [momentum], options)
         ladder, answer = dynamics.adapt(
-            frame, [momentum], measure, options, dynamics.nearest, tol=wanted, what="relaxation"
+            ladders, measure, options, dynamics.nearest, tol=wanted, what="relaxation"
         )
         values = np.asarray(answer.values, dtype=complex)
         stationary = expansion_density(ladder, momentum, wanted).certificate
@@ -224,12 +227,13 @@ class PhaseSpace(Theory):
         the difference of two answers, ``numbers`` is the type of the numbers of the elimination.
         """
         tol, row, frame = asked.tol or default, asked.row, self._frame(asked.system)
-        measure = partial(getattr(dynamics, name), row=row, at=asked.at, tol=tol)
+        measure = partial(getattr(dynamics, name), frame=frame, row=row, at=asked.at, tol=tol)
         # With a momentum, since the tolerance then holds for the whole stationary state.
         q, p = (Coordinate("q", row),), (Coordinate("p", row),)
         options = self._options(asked.progress)
+        ladders = self._ladders(frame, [q, p], options)
         ladder, answer = dynamics.adapt(
-            frame, [q, p], measure, options, apart, tol=tol, what=name, numbers=numbers
+            ladders, measure, options, apart, tol=tol, what=name, numbers=numbers
         )
         values, scale = np.asarray(answer.values, dtype=float), float(answer.scale)
         return certify_curve(
@@ -261,6 +265,13 @@ class PhaseSpace(Theory):
         if work is None:  # for dense blocks of order N work is N³ and memory N²
             work = SOLUTION_WORK * (self.memory / SOLUTION_MEMORY) ** 1.5
         return Options(self.memory, work, self.threads, self.reference, progress)
+
+    @staticmethod
+    def _ladders(frame: Frame, of: Sequence[Observable], options: Options) -> Iterator[Ladder]:
+        """Return ladders with the errors of the observables ``of``, for questions in time."""
+        if frame.n > 1:
+            return solution_ladder(frame, of, options)
+        return uniform_ladder(oscillator_of(frame.system), of, options)
 
     def _frame(self, system: System) -> Frame:
         """Return the frame of ``system``.

@@ -44,9 +44,6 @@ SLOWEST_FALL = 1.25
 """Smallest factor by which distances of successive solutions are taken to fall."""
 DENSITY_ROUND_OFF = 1e-11
 """L1 error by round-off, in double precision: at most 2.3e-12 against exact densities."""
-MOST_POLYNOMIALS = 90
-"""Largest number of polynomials on a panel: its Gauss points make 88 orthonormal to 6e-11, but 100
-to 2e-4 only."""
 SOLUTION_MEMORY = 4.0
 """Default limit of the memory of one solution, in GB (1e9 bytes)."""
 SOLUTION_WORK = 1.2e13
@@ -84,9 +81,9 @@ class Options:
             words = f"{work:.1g} operations, at most {self.work:.1g}"
         return words and f"a finer solution needs {words}"
 
-    def step(self, what: str, degree: int) -> Step:
-        """Return the function that reports the completed share of ``what`` at a ``degree``."""
-        return lambda share: self.progress(int(100 * share), 100, f"{what}, degree {degree}")
+    def step(self, what: str) -> Step:
+        """Return the function that reports the completed share of ``what``."""
+        return lambda share: self.progress(int(100 * share), 100, what)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +93,7 @@ class Ladder:
     For each observable ``errors`` is the L1 error of its density, ``factors`` the error over the L1
     distance of the two solutions, ``believed`` the distance that the error is computed from.
     ``limit`` says why no finer solution is computed, "" if one may be; ``solutions`` is the number
-    of solutions computed.
+    of solutions computed; ``credible`` the smallest credible ratio of successive distances.
     """
 
     finest: Any
@@ -106,6 +103,7 @@ class Ladder:
     believed: dict[Observable, float]
     limit: str
     solutions: int
+    credible: float = LEAST_RATIO
 
 
 @contextmanager
@@ -114,7 +112,7 @@ def breakdowns() -> Iterator[None]:
     try:
         yield
     except np.linalg.LinAlgError as error:
-        raise NotCertified(f"the expansion breaks down: {error}") from None
+        raise NotCertified(f"the solution breaks down: {error}") from None
 
 
 def credible_ratio(frame: Frame) -> float:
@@ -145,22 +143,25 @@ def error_by_distances(last: float, earlier: float | None, share: float) -> tupl
 
 
 def ladder_of(
-    finest: Expansion,
-    coarser: Expansion,
+    finest: Any,
+    coarser: Any,
     observables: Sequence[Observable],
     before: Ladder | None = None,
+    *,
+    credible: float = LEAST_RATIO,
 ) -> Ladder:
     """Return the ladder of two solutions, with the errors of ``observables``.
 
     Errors follow from the L1 distance of the solutions and from the distances in ``before``, the
-    ladder with ``coarser`` as its finer solution; None if there is none.
+    ladder with ``coarser`` as its finer solution; None if there is none. ``credible``: see
+    ``Ladder``.
     """
-    least, share = least_distance(finest, coarser), credible_ratio(finest.basis.frame)
-    ladder = Ladder(finest, coarser, {}, {}, {}, "", before.solutions + 1 if before else 2)
+    least, solutions = least_distance(finest, coarser), before.solutions + 1 if before else 2
+    ladder = Ladder(finest, coarser, {}, {}, {}, "", solutions, credible)
     for o in observables:
         own = solution_distance(finest, coarser, o)
         earlier = before.believed[o] if before else None
-        ladder.believed[o], error = error_by_distances(max(own, least), earlier, share)
+        ladder.believed[o], error = error_by_distances(max(own, least), earlier, credible)
         ladder.errors[o] = error + DENSITY_ROUND_OFF
         ladder.factors[o] = error / own if own > 0.0 else 0.0
     return ladder
@@ -173,13 +174,13 @@ def solution_ladder(
 
     Raises ``LinAlgError`` if the equations of the first two solutions are not solved.
     """
-    memory, degrees = 1e9 * options.memory, lowest(frame)
+    memory, degrees, share = 1e9 * options.memory, lowest(frame), credible_ratio(frame)
     coarser: Expansion | None = None
     ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
         about = fit_reference(frame, options.reference or gaussian_start(frame))
         while True:
-            step = options.step("phase space", degrees.total)
+            step = options.step(f"phase space, degree {degrees.total}")
             finest = expand(frame, about, degrees, memory=memory, step=step)
             if not finest.residual < ROUND_OFF:
                 limit = f"the equations of degree {degrees.total} are not solved"
@@ -190,12 +191,9 @@ def solution_ladder(
                 break
             degrees = next_degrees(frame, degrees, finest.rise)
             if coarser is not None:
-                ladder = ladder_of(finest, coarser, observables, ladder)
+                ladder = ladder_of(finest, coarser, observables, ladder, credible=share)
                 yield ladder
-                most = MOST_POLYNOMIALS
-                limit = f"a finer solution needs more than {most} functions of a displacement"
-                if degrees.outer <= most:
-                    limit = options.refusal(*solution_cost(basis(frame, about, degrees)))
+                limit = options.refusal(*solution_cost(basis(frame, about, degrees)))
                 if limit:
                     break
             coarser = finest
@@ -209,14 +207,16 @@ def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
     return earlier if agree else later
 
 
-def least_distance(a: Expansion, b: Expansion) -> float:
+def least_distance(a: Any, b: Any) -> float:
     """Return ``LEAST_RATIO`` times the largest L1 distance of a density of a single q or p.
 
     Raises ``LinAlgError`` if a variance is not positive.
     """
-    if not min(np.diag(moments(e)[1]).min() for e in (a, b)) > 0.0:
+    variances = np.array([np.diag(moments(e)[1]) for e in (a, b)])
+    if not variances.min() > 0.0:
         raise np.linalg.LinAlgError("a variance found is not positive")
-    single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in range(a.basis.frame.n)]
+    rows = range(variances.shape[1] // 2)
+    single = [(Coordinate(kind, row),) for kind in ("q", "p") for row in rows]
     return LEAST_RATIO * max(solution_distance(a, b, o) for o in single)
 
 

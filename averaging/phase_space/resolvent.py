@@ -1,19 +1,22 @@
-"""The time-dependent FPK equation in the expansion: resolvent and eigenvalues of its operator.
+"""The time-dependent FPK equation: resolvent and eigenvalues of its operator.
 
-The coefficients u of the expansion obey du/dt = A u, A the matrix of the chain of levels in
-orthonormal functions. If mirror images are equally likely, functions that change sign under
-reflection, as displacements do, and functions that do not have separate chains of half the size.
-Vectors b, c, u hold all unknowns.
+The coefficients u of a density obey du/dt = A u; of an expansion A is the matrix of the chain of
+levels in orthonormal functions. If mirror images are equally likely, functions that change sign
+under reflection, as displacements do, and functions that do not have separate matrices of half the
+size. Vectors b, c, u hold all unknowns.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial, singledispatch
+from typing import Any
 
 import numpy as np
 
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.degrees import combination
-from averaging.phase_space.equation.elimination import Expansion, Step, eliminate
+from averaging.phase_space.equation.elimination import Expansion, Solve, Step, eliminate
 from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import linear_form, moments
 from fpk.answer.names import Coordinate
@@ -32,32 +35,56 @@ DISCS = 40
 """Largest number of shifts at which eigenvalues are sought: a minute if eliminations are fast."""
 
 
-def generator(e: Expansion, *, odd: bool, closed: bool = False) -> Chain:
-    """Return the chain of du/dt = A u, u the coefficients of a density expanded as ``e``.
+@dataclass(frozen=True, eq=False)
+class Generator:
+    """The equations du/dt = A u of the coefficients u (``size``,) of densities.
 
-    For densities that change sign under reflection if ``odd``, else for the others, or for all if
-    ``e`` is not mirrored; ``closed``: see ``chain_of``.
+    ``solver`` maps a shift s and ``Step`` to the function b → (s − A)⁻¹ b, for a vector or columns
+    b, which removes the mass of b and of the result: they should be 0. ``displacement`` maps a mass
+    (0-based) to c and b: c·u is ∫ q' u, b are the coefficients of q' p, q' = q − E q. ``metric``
+    multiplies by M; the norm (u·M u)^½ of densities should not grow in time. None: M = 1.
     """
-    b = e.basis
-    return chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
+
+    size: int
+    solver: Callable[[complex, Step], Solve]
+    displacement: Callable[[int], tuple[Array, Array]]
+    metric: Callable[[Array], Array] | None = None
 
 
-def solve_shifted(A: Chain, shift: complex, step: Step) -> Callable[[Array], Array]:
-    """Return the function b → (s − A)⁻¹ b, s = ``shift``, for a vector or columns b.
+def without_mass(solve: Solve, mass: Array, density: Array) -> Solve:
+    """Return ``solve`` between two removals of the mass: of ``mass``·u times ``density``.
 
-    The mass of b, which should be 0, is removed first. For ``step`` see ``eliminate``.
+    Without a shift A is singular, and round-off leaves a mass.
     """
-    (solve, _), one = eliminate(A, shift=shift, step=step), A.basis.of_one
 
     def massless(u: Array) -> Array:
-        # A is singular; so the mass that round-off leaves is removed from b and from the solution.
-        level, rest = u[: one.size], u[one.size :]
-        return np.concatenate([level - np.multiply.outer(one, one @ level), rest])
+        return np.asarray(u - np.multiply.outer(density, mass @ u))
 
-    return lambda b: -massless(solve(massless(b)))
+    return lambda b: massless(solve(massless(b)))
 
 
-def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array]:
+@singledispatch
+def generators(e: Any, *, closed: bool = False) -> Iterator[Generator]:
+    """Yield the generators about the solution ``e``, an ``Expansion`` or another registered one.
+
+    If mirror images are equally likely, the first is of densities that change sign under
+    reflection, the second of the others; else there is one. ``closed``: see ``chain_of``.
+    """
+    b = e.basis
+    for odd in (True, False) if b.mirrored else (False,):
+        chain = chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
+        solver, vectors = partial(chain_solver, chain), partial(displacement_vectors, e, chain)
+        yield Generator(int(chain.ends[-1]), solver, vectors)
+
+
+def chain_solver(A: Chain, shift: complex, step: Step) -> Solve:
+    """Return ``Generator.solver`` of a chain; for ``step`` see ``eliminate``."""
+    (solve, _), one = eliminate(A, shift=shift, step=step), A.basis.of_one
+    mass = np.pad(one, (0, int(A.ends[-1]) - one.size))
+    return without_mass(lambda b: -solve(b), mass, mass)
+
+
+def displacement_vectors(e: Expansion, A: Chain, row: int) -> tuple[Array, Array]:
     """Return the coefficients in A of q' times the reference density, and of q' p, q' = q − E q.
 
     q is of mass ``row`` (0-based). The scalar product of u with the first is ∫ q' u. Terms
@@ -79,7 +106,7 @@ def displacement_vectors(e: Expansion, row: int, A: Chain) -> tuple[Array, Array
     return first, second
 
 
-def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
+def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:
     """Return c·(iω − A)⁻¹ b at ascending ω >= 0, ``at``, and the largest residual over |u|.
 
     One elimination, at a shift s, serves the frequencies about it: with B = (s − A)⁻¹ the equation
@@ -91,17 +118,17 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
     while groups:
         group = groups.pop()
         away = np.asarray(1j * (at[group] - shift))
-        solve = solve_shifted(A, 1j * shift if shift else 0.0, step)
+        solve = A.solver(1j * shift if shift else 0.0, step)
         first = solve(b)
-        size = float(np.linalg.norm(first))
         found, residuals = np.zeros(away.size, dtype=complex), np.full(away.size, np.inf)
         for V, H, closed in krylov(solve, first[:, None], VECTORS):
             m = len(V)
             if m % EVERY in (0, 1) or closed:
+                seen, size = V @ c, np.linalg.norm(first) / np.linalg.norm(V[0])
                 for k in np.flatnonzero(residuals > RESIDUAL):
                     y = np.linalg.solve(np.eye(m) + away[k] * H[:m], size * np.eye(m)[0])
                     residuals[k] = abs(away[k]) * np.linalg.norm(H[m:] @ y) / np.linalg.norm(y)
-                    found[k] = c @ (y @ V)
+                    found[k] = seen @ y
                 if np.all(residuals <= RESIDUAL):
                     break
         if not np.all(np.isfinite(residuals)):
@@ -117,7 +144,7 @@ def transforms(A: Chain, c: Array, b: Array, at: Array, step: Step) -> tuple[Com
 
 
 def decays(
-    A: Chain, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
+    A: Generator, c: Array, b: Array, at: Array, rate: float, step: Step, *, tol: float
 ) -> tuple[Array, float]:
     """Return C(t) = c·e^(At) b and C'/``rate`` at the lags ``at``, (2, lags), and the error of C.
 
@@ -127,12 +154,13 @@ def decays(
     C grows with t.
     """
     values, changes = np.zeros((2, at.size)), [np.inf, np.inf]
-    for V, H, closed in krylov(solve_shifted(A, rate, step), b[:, None], VECTORS):
+    for V, H, closed in krylov(A.solver(rate, step), b[:, None], VECTORS, metric=A.metric):
         m = len(V)
         if not (m % EVERY == 0 or closed):
             continue
         theta, W = np.linalg.eig(H[:m])
-        parts = (V @ c) @ W * np.linalg.solve(W, np.eye(m)[0]) * np.linalg.norm(b)
+        size = np.linalg.norm(b) / np.linalg.norm(V[0])
+        parts = size * (V @ c) @ W * np.linalg.solve(W, np.eye(m)[0])
         exponents = rate - 1.0 / theta
         with np.errstate(over="ignore", invalid="ignore"):
             grown = np.exp(np.multiply.outer(at, exponents))
@@ -147,13 +175,13 @@ def decays(
     return values, 0.0 if closed else max(changes[-2:])
 
 
-def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
+def eigenvalues(A: Generator, at: float, step: Step) -> tuple[Complexes, float]:
     """Return the eigenvalues λ of −A within a radius of i ``at``, and the radius.
 
     Within it are all eigenvalues; it is ∞ if no computed eigenvalue is inaccurate.
     """
-    solve = solve_shifted(A, 1j * at if at else 0.0, step)
-    random = np.random.default_rng(0).normal(size=(A.ends[-1], BLOCK))
+    solve = A.solver(1j * at if at else 0.0, step)
+    random = np.random.default_rng(0).normal(size=(A.size, BLOCK))
     *_, (V, H, _) = krylov(solve, solve(random), VECTORS)
     theta, W = np.linalg.eig(H[: len(V)])
     rounding = EPS * np.max(np.abs(theta))
@@ -166,7 +194,7 @@ def eigenvalues(A: Chain, at: float, step: Step) -> tuple[Complexes, float]:
 
 
 def slowest_rates(
-    parts: Sequence[Chain], count: int, fastest: float, *, most: int, step: Step
+    parts: Sequence[Generator], count: int, fastest: float, *, most: int, step: Step
 ) -> tuple[Complexes, str]:
     """Return eigenvalues λ of −A of all ``parts`` with Im λ >= 0, Re λ ascending, and a text.
 

@@ -75,7 +75,7 @@ class Degrees:
 
 def fitting_degrees(frame: Frame) -> Degrees:
     """Return the degrees of the solutions that the reference is fitted to."""
-    if frame.system.damping_terms or frame.n == 1:
+    if frame.system.damping_terms:
         return lowest(frame)
     return Degrees(13, 5, 14) if frame.n == 2 else Degrees(9, 3, 10)
 
@@ -83,26 +83,22 @@ def fitting_degrees(frame: Frame) -> Degrees:
 def lowest(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
     if frame.system.damping_terms:
-        return {1: Degrees(16, 0, 18), 2: Degrees(16, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
-    # With constant damping the first reference is the solution for one mass.
-    return {1: Degrees(9, 0, 10), 2: Degrees(17, 6, 18), 3: Degrees(11, 4, 12)}[frame.n]
+        return Degrees(16, 6, 18) if frame.n == 2 else Degrees(11, 4, 12)
+    return Degrees(17, 6, 18) if frame.n == 2 else Degrees(11, 4, 12)
 
 
 def next_degrees(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
     """Return the degrees of the next solution after ``degrees``.
 
     For two masses ``rise`` is added to ``others``, for three at most 1. With damping terms it has
-    no effect: ``total`` rises by a quarter (one mass: 0.4) and gives the others, since errors
-    oscillate with the degree.
+    no effect: ``total`` rises by a quarter and gives the others, since errors oscillate with the
+    degree.
     """
-    n, d = frame.n, degrees
+    d = degrees
     if frame.system.damping_terms:
-        half = round((0.7 if n == 1 else 0.625) * d.total)
-        others, outer = (0, 2 * half + 2) if n == 1 else (round(0.75 * half), half + 10)
-        return Degrees(2 * half, others, outer)
-    if n == 1:
-        return Degrees(d.total + 8, 0, d.outer + 4)
-    if n == 2:
+        half = round(0.625 * d.total)
+        return Degrees(2 * half, round(0.75 * half), half + 10)
+    if frame.n == 2:
         return Degrees(d.total + 10 - 2 * rise, d.others + rise, d.outer + 4)
     # Errors of three masses come from the degree in the others.
     step = 1 if rise else 2

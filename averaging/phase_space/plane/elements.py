@@ -123,6 +123,13 @@ class Elements:
         density /= density @ self.load
         return float(density @ self.exit), density
 
+    @property
+    def displacement(self) -> Array:
+        """Displacements (unknowns,) at which the functions of the unknowns are 1."""
+        m, t = self.mesh, _lobatto_nodes(self.mesh.degree)
+        q, _ = m.q(m.x[:-1, None] + 0.5 * np.diff(m.x)[:, None] * (1.0 + t))
+        return np.repeat(q, m.functions_of_s)[self.free]
+
     @cached_property
     def shifted(self) -> tuple[float, Any]:
         """σ, four times the frequency or less under strong damping, and the factors of K + σM."""
@@ -198,12 +205,20 @@ def _to_lobatto(degree: int) -> Array:
     They are the Lagrange polynomials of the Lobatto nodes; hierarchical polynomials would lose all
     digits on a panel over which the weight falls by e²⁰.
     """
+    return np.asarray(np.linalg.inv(legvander(_lobatto_nodes(degree), degree)), dtype=float)
+
+
+def _lobatto_nodes(degree: int) -> Array:
+    """Return the Lobatto nodes (degree + 1,) in [−1, 1], of polynomials of this degree."""
     inner = np.sort(np.real(Legendre.basis(degree).deriv().roots()))
-    return np.linalg.inv(legvander(np.concatenate([[-1.0], inner, [1.0]]), degree))
+    return np.concatenate([[-1.0], inner, [1.0]])
 
 
-def assemble_backward(mesh: Mesh) -> Elements:
+def assemble_backward(mesh: Mesh, *, odd: bool = False) -> Elements:
     """Return the matrices and vectors on ``mesh``.
+
+    ``odd``: of functions that change sign under reflection, if the mesh is folded; ``exit`` and
+    ``load`` then mean nothing.
 
     They are of the backward operator in the coordinates (q, s), v = s w, times −w:
     −L u = −s w u_q − w' (1 − s²) u_s + (c − D Ψ')/m s u_s − exp(Ψ) (D/m²)/w² ∂_s exp(−Ψ) u_s,
@@ -267,7 +282,7 @@ def assemble_backward(mesh: Mesh) -> Elements:
     beyond = eye_array(panels * size, k=size, format="csr")
     before = beyond.T @ right
     if mesh.folded:
-        mirror = csr_array(np.eye(size)[::-1])
+        mirror = csr_array((-1.0 if odd else 1.0) * np.eye(size)[::-1])
         before = before + kron(np.eye(panels, 1), mirror, format="csr") @ left[:size]
     faces = (
         (right.T @ fluxes[0][size:, size:], right - beyond @ left),

@@ -248,7 +248,7 @@ def plane_ladder(
         limit = options.refusal(BYTES * unknowns, OPERATIONS * unknowns)
         if ladder is not None and limit:
             break
-        options.step("phase space", mesh.degree)(0.0)
+        options.step(f"phase space, {unknowns} unknowns")(0.0)
         finest = stationary_state(mesh)
         ladder = plane_ladder_of(finest, coarser, observables, ladder)
         yield ladder

@@ -89,7 +89,7 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
             top *= HIGHER
         if level > 1 and limit:
             break
-        options.step("transient", level)(0.0)
+        options.step(f"transient, mesh {level + 1}")(0.0)
         if coarser:
             ladders = [
                 plane_ladder_of(a, b, [observable], before, added=c)

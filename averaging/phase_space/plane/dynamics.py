@@ -1,0 +1,103 @@
+"""Solutions of one mass on uniformly finer meshes for questions in time, and their generators."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csc_array
+from threadpoolctl import threadpool_limits
+
+from averaging.phase_space.dynamics import elimination_cost
+from averaging.phase_space.equation.elimination import Solve, Step
+from averaging.phase_space.marginals import moments
+from averaging.phase_space.plane.elements import Elements, assemble_backward, factorise_sparse
+from averaging.phase_space.plane.mesh import energy_mesh
+from averaging.phase_space.plane.oscillator import HIGHER, TRIALS, Oscillator, rarest_energy
+from averaging.phase_space.plane.stationary import (
+    BYTES,
+    OPERATIONS,
+    OUTFLOW,
+    PlaneState,
+    stationary_state,
+)
+from averaging.phase_space.refinement import Ladder, Options, ladder_of
+from averaging.phase_space.resolvent import Generator, generators, without_mass
+from fpk.answer.names import Observable
+from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotCertified
+from fpk.numeric.machine import usable_cores
+
+PANELS, MORE = 3, 4.0 / 3.0
+"""Panels between rest and the largest speed on the first mesh; ratio of the numbers of panels of
+successive meshes: the least by which three become four."""
+
+
+def uniform_ladder(
+    o: Oscillator, observables: Sequence[Observable], options: Options
+) -> Iterator[Ladder]:
+    """Yield ladders of solutions on finer meshes; the last is yielded again with its ``limit``.
+
+    All panels become shorter: what decays may vary where the density does not. Energies end where
+    so little passes that no answer feels it, and higher on each finer mesh. Raises ``NotCertified``
+    if the density does not fall with the energy.
+    """
+    top = rarest_energy(o)
+    highest, level = top * HIGHER**TRIALS, 0
+    coarser: PlaneState | None = None
+    ladder: Ladder | None = None
+    with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
+        while True:
+            finest = stationary_state(energy_mesh(o, top, level, MORE**-level / PANELS))
+            if abs(finest.outflow) > OUTFLOW * o.frequency:
+                top *= HIGHER
+                if top > highest:
+                    raise NotCertified("the density does not fall with the energy")
+                continue
+            if coarser is not None:
+                ladder = ladder_of(finest, coarser, observables, ladder)
+                yield ladder
+                size, work = elimination_cost(finest, float)
+                if limit := options.refusal(MORE**2 * size, MORE**2 * work):
+                    yield replace(ladder, limit=limit)
+                    return
+            coarser, level, top = finest, level + 1, HIGHER ** (1.0 / TRIALS) * top
+
+
+@moments.register
+def _(e: PlaneState) -> tuple[Array, Array]:
+    def mean(i: int, j: int) -> float:
+        return e.mean(lambda q, v: q**i * v**j)
+
+    m, first = e.mesh.oscillator.mass, np.array([mean(1, 0), mean(0, 1)])
+    second = np.array([[mean(2, 0), mean(1, 1)], [mean(1, 1), mean(0, 2)]])
+    return np.sqrt(m) * first, m * (second - np.outer(first, first))
+
+
+@elimination_cost.register
+def _(e: PlaneState, numbers: type) -> tuple[float, float]:
+    words = np.dtype(numbers).itemsize / 8
+    return BYTES * words * e.unknowns, OPERATIONS * words**2 * e.unknowns
+
+
+@generators.register
+def _(e: PlaneState, *, closed: bool = False) -> Iterator[Generator]:
+    for odd in (True, False) if e.mesh.folded else (False,):
+        yield plane_generator(e, assemble_backward(e.mesh, odd=odd), odd=odd)
+
+
+def plane_generator(state: PlaneState, e: Elements, *, odd: bool) -> Generator:
+    """Return the generator of densities on the elements ``e`` of the stationary ``state``.
+
+    M du/dt = −Kᵀ u, so that (s − A)⁻¹ is (K + s M)⁻ᵀ M.
+    """
+    u, q = state.table.flat[e.free] * e.one, e.displacement
+    if not state.mesh.folded:
+        q = q - u @ (e.M @ (q * e.one))
+    vectors = e.M @ (q * e.one), q * u
+
+    def solver(shift: complex, step: Step) -> Solve:
+        factors = factorise_sparse(csc_array(e.K + shift * e.M)) if shift else e.factors
+        step(1.0)
+        return without_mass(lambda b: factors.solve(e.M @ b, "T"), e.load * (not odd), u)
+
+    return Generator(u.size, solver, lambda row: vectors, e.M.__matmul__)
