@@ -135,11 +135,10 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
     n, top = b.frame.n, 2 + damping_degree(b.frame)
     if not b.frame.system.damping_terms:
         return np.zeros(n), np.zeros(n), np.zeros((n, b.points.size))
-    space = space_to(top, top, 2 * n - 1)
+    space = space_to(b.degrees.total + top, b.degrees.others + top, 2 * n - 1)
     r, v, forces = state_polynomials(b, e.factor, space)
-    inside = np.flatnonzero(space.counted <= b.degrees.others)
-    levels = np.concatenate([e.functions(n, b.points) for n in range(top + 1)])
-    first: Polynomial = {(0, 0): Matrix(([1.0], ([0], [0])), shape=(1, len(space.level)))}
+    inside = (space.level <= b.degrees.total) & (space.counted <= b.degrees.others)
+    first: Polynomial = {(0, 0): Matrix(space.integral()[None])}
 
     def given(*factors: Polynomial) -> Array:
         """Return E(Π ``factors`` | y) at the basis's points y, times its weights, (points,)."""
@@ -147,7 +146,7 @@ def force_means(e: Expansion) -> tuple[Array, Array, Array]:
         for factor in factors:
             row = polynomial_product(row, factor)
         for powers, X in row.items():
-            total += by_y(b, powers) * (X.toarray()[0, inside] @ levels)
+            total += by_y(b, powers) * e.given(X.toarray()[0, inside])
         return total
 
     power, virial = (
@@ -179,15 +178,15 @@ def sides(e: Any) -> list[tuple[str, float, float]]:
     ``e`` is an ``Expansion`` or another solution that is registered.
     """
     (mean, covariance), b, frame = moments(e), e.basis, e.basis.frame
-    n, y, w, K, c = frame.n, b.points, b.weights, frame.stiffness, frame.damping
+    n, y, K, c = frame.n, b.points, frame.stiffness, frame.damping
     second = covariance + np.outer(mean, mean)
     power, virial, force = force_means(e)
     # Means given y times the weights: of (y, r, v), of v₁² and of the contact force.
-    u0, u1, u2 = (w * e.functions(level, y) for level in range(3))
-    (one, two), (to, shift) = e.space.first_and_second, b.reference.to_state
-    given = to @ np.vstack([y * u0, e.factor @ one @ u1]) + shift[:, None] * u0
-    square = e.factor[0, 0] ** 2 * (u0[0] + two[0, 0] @ u2)
-    contact = u0[0] * frame.contact_force(y)
+    (p, first, products), (to, shift) = e.space.first_moments, b.reference.to_state
+    p, first, square = map(e.given, (p, first, products[0, 0]))
+    given = to @ np.vstack([y * p, e.factor @ first]) + shift[:, None] * p
+    square *= e.factor[0, 0] ** 2
+    contact = p * frame.contact_force(y)
     sides = [
         ("Σ c_ij E v_i v_j", np.sum(c * second[n:, n:]) + np.sum(power), np.trace(frame.noise))
     ]
@@ -195,9 +194,9 @@ def sides(e: Any) -> list[tuple[str, float, float]]:
     for i, row in enumerate(frame.order):
         right = K[i] @ second[:n, i] + c[i] @ second[n:, i] + virial[i]
         sides.append((f"E p{row + 1}²/m", second[n + i, n + i], right))
-    s, first = float(np.sqrt(covariance[0, 0])), frame.contact + 1
+    s, number = float(np.sqrt(covariance[0, 0])), frame.contact + 1
     sine, cosine = np.sin(y / s), np.cos(y / s) / s
     mean_force = K[0] @ given[:n] + c[0] @ given[n:] + force[0] + contact
-    sides.append((f"E v{first}² cos(q{first}/s)/s", square @ cosine, sine @ mean_force))
-    sides.append((f"E v{first} sin(q{first}/s)", given[n] @ sine, 0.0))
+    sides.append((f"E v{number}² cos(q{number}/s)/s", square @ cosine, sine @ mean_force))
+    sides.append((f"E v{number} sin(q{number}/s)", given[n] @ sine, 0.0))
     return [(name, float(left), float(right)) for name, left, right in sides]

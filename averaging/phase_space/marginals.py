@@ -11,6 +11,7 @@ from averaging.conditional import MOST_POINTS
 from averaging.gaussian import GAUSSIAN_REACH
 from averaging.phase_space.equation.degrees import combination
 from averaging.phase_space.equation.elimination import Expansion
+from averaging.phase_space.equation.frame import POWER
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.quadrature import GAUSS_RULES
@@ -27,17 +28,16 @@ each degree: 137 points integrate a Gaussian over 34 standard deviations to roun
 def moments(e: Any) -> tuple[Array, Array]:
     """Return mean (2n,) and covariance (2n, 2n) of (y, r, v), see ``Frame``.
 
-    ``e`` is an ``Expansion``, of which levels 0 to 2 contain them, or another solution that is
-    registered.
+    ``e`` is an ``Expansion`` or another solution that is registered.
     """
-    b, C, y, (one, two) = e.basis, e.factor, e.basis.points, e.space.first_and_second
-    u0, u1, u2 = (b.weights * e.functions(level, y) for level in range(3))
+    b, C, y = e.basis, e.factor, e.basis.points
+    p, first, products = map(e.given, e.space.first_moments)
     # First and second moments of (y, v, x); then of (y, r, v).
-    mean = np.concatenate([u0 @ y, C @ one @ u1.sum(axis=1)])
+    mean = np.concatenate([[p @ y], C @ first.sum(axis=1)])
     second = np.zeros(2 * mean.shape)
-    second[0, 0], second[0, 1:] = u0[0] @ y**2, C @ one @ (u1 @ y)
+    second[0, 0], second[0, 1:] = p @ y**2, C @ first @ y
     second[1:, 0] = second[0, 1:]
-    second[1:, 1:] = C @ (np.eye(len(C)) + two @ u2.sum(axis=1)) @ C.T
+    second[1:, 1:] = C @ products.sum(axis=2) @ C.T
     to, shift = b.reference.to_state
     covariance = to @ (second - np.outer(mean, mean)) @ to.T
     return to @ mean + shift, 0.5 * (covariance + covariance.T)
@@ -46,7 +46,7 @@ def moments(e: Any) -> tuple[Array, Array]:
 def linear_form(e: Expansion, c: Coordinate) -> tuple[float, float, Array]:
     """Return offset, slope, direction of ``c`` (q or p) = offset + slope y + direction·ζ.
 
-    y and z = C ζ are the variables of ``Reference``, ζ of unit covariance.
+    y and z = C ζ are the variables of ``Reference``.
     """
     at, unit = e.basis.frame.place(c)
     to, shift = e.basis.reference.to_state
@@ -103,7 +103,7 @@ def _marginal_density(
     coefficients, scale = _projections(e, directions), float(np.prod(np.diag(L)))
 
     def given(y: Array) -> Array:
-        """Return w(``y``) times the coefficients of the polynomials in t.
+        """Return w(``y``)^σ times the coefficients of the polynomials in t.
 
         They are (orders, points), or (orders, orders, points) for two linear forms.
         """
@@ -111,14 +111,20 @@ def _marginal_density(
         return np.asarray(coefficients @ values.T * b.density(y))
 
     def summed(c: Array, y: Array, x: Sequence[Array]) -> Array:
-        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t)/det L, L t = ``x`` − o − s ``y``."""
+        """Return Σ ``c``_nm He_n(t₁)/√n! He_m(t₂)/√m! N(t; 0, 1/σ)/det L, L t = ``x`` − o − s y.
+
+        Here y is ``y``, and σ ``POWER``.
+        """
         t: list[Array] = []
         for a, ((offset, slope, _), value) in enumerate(zip(linear, x, strict=True)):
             rest = value - offset - slope * y - sum(L[a, k] * t[k] for k in range(a))
             t.append(rest / L[a, a])
         # The sum over n is taken first, on the shape of t₁, before that of t₂ enters.
         for s in t:
-            before, now = np.zeros_like(s), np.exp(-0.5 * s**2) / np.sqrt(2.0 * np.pi)
+            before, now = (
+                np.zeros_like(s),
+                np.exp(-0.5 * POWER * s**2) * np.sqrt(0.5 * POWER / np.pi),
+            )
             total = c[0] * now
             for n in range(1, len(c)):
                 before, now = now, (s * now - np.sqrt(n - 1.0) * before) / np.sqrt(n)
@@ -137,7 +143,9 @@ def _marginal_density(
 
         return joint
 
-    widths = [L[a, a] / abs(slope) for a, (_, slope, _) in enumerate(linear) if slope]
+    widths = [
+        L[a, a] / np.sqrt(POWER) / abs(slope) for a, (_, slope, _) in enumerate(linear) if slope
+    ]
     width = min([b.reference.weight[1] ** -0.5, *widths])
     longest = float(np.max(np.diff(b.nodes)))
     count = POINTS_PER_WIDTH * longest / width + len(e.levels) + GAUSS_RULES[1][-1]
@@ -158,12 +166,12 @@ def _marginal_density(
 def _projections(e: Expansion, directions: Array) -> Array:
     """Return the coefficients of He_n(e₁·ζ)/√n! (times He_m(e₂·ζ)/√m!), the e's ``directions``.
 
-    The array is (levels, [levels,] functions of all panels). The polynomial of level n is a
-    combination v_n of the He_k with |k| = n, v_n = Σ_i e_i a_i⁺ v_(n−1)/√n.
+    They are integrals over the components of ζ orthogonal to these, (levels, [levels,] functions of
+    all panels): combinations v_n of the coefficients of the He_k, v_n = Σ_i e_i a_i⁺ v_(n−1)/√n.
     """
-    in_panels = [e.of_panels(n) for n in range(len(e.levels))]
+    in_panels = np.concatenate([e.of_panels(n) for n in range(len(e.levels))])
     raising = [combination(e.space.up, direction) for direction in directions]
-    out = np.zeros((*[len(e.levels)] * len(raising), in_panels[0].shape[1]))
+    out = np.zeros((*[len(e.levels)] * len(raising), in_panels.shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:
         """Write into ``out`` the entries of all (n, …) that begin with ``place``.
@@ -172,11 +180,11 @@ def _projections(e: Expansion, directions: Array) -> Array:
         """
         n, axis = sum(place), len(place)
         if axis == len(raising):
-            out[place] = v[e.space.span(n)] @ in_panels[n]
+            out[place] = v @ in_panels
             return
         for m in range(len(e.levels) - n):
             add((*place, m), v)
             v = raising[axis] @ v / np.sqrt(m + 1.0)
 
-    add((), np.eye(e.space.level.size, 1)[:, 0])
+    add((), e.space.integral(directions))
     return out

@@ -12,7 +12,7 @@ from averaging.gaussian import Linear
 from averaging.phase_space import dynamics
 from averaging.phase_space.densities import expansion_density, expansion_settings, identities
 from averaging.phase_space.equation.basis import basis
-from averaging.phase_space.equation.degrees import lowest, next_degrees
+from averaging.phase_space.equation.degrees import first_degrees, next_degrees
 from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.plane.dynamics import uniform_ladder
@@ -71,7 +71,7 @@ class PhaseSpace(Theory):
     limits one solution, in GB, ``work`` its operations, None: in proportion to the memory, a minute
     on two cores for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
     use these, the threads wait for each other and take ten times as long. ``reference`` is the
-    state that the expansion starts from, for tests; None: ``gaussian_start``. ::
+    state that the expansion starts from, for tests; None: ``gibbs_reference``. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
 
@@ -285,7 +285,8 @@ class PhaseSpace(Theory):
         frame = contact_frame(system)
         about = gibbs_reference(frame)
         if system.damping_terms and system.n > 1:
-            second = next_degrees(frame, lowest(frame), 0)
+            first = first_degrees(frame)
+            second = next_degrees(frame, first, first.others)
             if words := self._options().refusal(*solution_cost(basis(frame, about, second))):
                 raise NotApplicable(f"the damping terms are of too high a degree: {words}")
         return frame

@@ -54,7 +54,7 @@ class Generator:
 def without_mass(solve: Solve, mass: Array, density: Array) -> Solve:
     """Return ``solve`` between two removals of the mass: of ``mass``·u times ``density``.
 
-    Without a shift A is singular, and round-off leaves a mass.
+    Without a shift A is singular, or nearly, which leaves a mass.
     """
 
     def massless(u: Array) -> Array:
@@ -72,23 +72,34 @@ def generators(e: Any, *, closed: bool = False) -> Iterator[Generator]:
     """
     b = e.basis
     for odd in (True, False) if b.mirrored else (False,):
-        chain = chain_of(basis(b.frame, b.reference, b.degrees, odd=odd), closed=closed)
-        solver, vectors = partial(chain_solver, chain), partial(displacement_vectors, e, chain)
-        yield Generator(int(chain.ends[-1]), solver, vectors)
+        functions = basis(b.frame, b.reference, b.degrees, odd=odd)
+        chain = chain_of(functions, joined=True, closed=closed)
+        density = np.concatenate([e.of_panels(n) for n in range(len(e.levels))])
+        solver = partial(chain_solver, chain, packed(e, chain, density))
+        yield Generator(chain.mass.size, solver, partial(displacement_vectors, e, chain))
 
 
-def chain_solver(A: Chain, shift: complex, step: Step) -> Solve:
-    """Return ``Generator.solver`` of a chain; for ``step`` see ``eliminate``."""
-    (solve, _), one = eliminate(A, shift=shift, step=step), A.basis.of_one
-    mass = np.pad(one, (0, int(A.ends[-1]) - one.size))
-    return without_mass(lambda b: -solve(b), mass, mass)
+def chain_solver(A: Chain, density: Array, shift: complex, step: Step) -> Solve:
+    """Return ``Generator.solver`` of a chain with a stationary ``density``.
+
+    For ``step`` see ``eliminate``.
+    """
+    solve, _ = eliminate(A, shift=shift, step=step)
+    return without_mass(lambda b: -solve(b), A.mass, density)
+
+
+def packed(e: Expansion, A: Chain, u: Array) -> Array:
+    """Return the coefficients in A of u (degrees, polynomials of all panels), a density as ``e``.
+
+    Terms outside the functions of A are orthogonal to these and omitted.
+    """
+    return A.pack([u[e.space.span(n)] @ A.basis.of_level(n) for n in range(len(e.levels))])
 
 
 def displacement_vectors(e: Expansion, A: Chain, row: int) -> tuple[Array, Array]:
-    """Return the coefficients in A of q' times the reference density, and of q' p, q' = q − E q.
+    """Return the vector c with c·u = ∫ q' u for coefficients u in A, and the coefficients of q' p.
 
-    q is of mass ``row`` (0-based). The scalar product of u with the first is ∫ q' u. Terms
-    outside the functions of A are orthogonal to these and omitted.
+    q' is q − E q, q of mass ``row`` (0-based).
     """
     b, space, q = e.basis, e.space, Coordinate("q", row)
     (offset, slope, direction), (at, unit) = linear_form(e, q), b.frame.place(q)
@@ -96,14 +107,11 @@ def displacement_vectors(e: Expansion, A: Chain, row: int) -> tuple[Array, Array
     values, up = b.at_points[0], combination(space.up, direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
     density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
-    reference = np.zeros_like(density)
-    reference[0] = b.continuous @ b.of_one
-    products = [u @ by_y + (up + up.T) @ u for u in (reference, density)]
-    first, second = (
-        A.pack([u[space.span(n)] @ A.basis.of_level(n) for n in range(len(e.levels))])
-        for u in products
-    )
-    return first, second
+    s, first, _ = space.first_moments
+    integrals = np.multiply.outer(s, (b.measure * (offset + slope * b.points)) @ values)
+    integrals += np.multiply.outer(direction @ first, b.measure @ values)
+    product = density @ by_y + (up + up.T) @ density
+    return packed(e, A, integrals), packed(e, A, product)
 
 
 def transforms(A: Generator, c: Array, b: Array, at: Array, step: Step) -> tuple[Complexes, float]:

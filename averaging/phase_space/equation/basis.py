@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 from averaging.phase_space.equation.degrees import Degrees
-from averaging.phase_space.equation.frame import Frame, Reference
+from averaging.phase_space.equation.frame import POWER, Frame, Reference
 from averaging.phase_space.krylov import krylov
 from fpk.numeric.arrays import SMALLEST, Array
 from fpk.numeric.quadrature import gauss_legendre
@@ -75,11 +75,12 @@ class Basis:
     """Orthonormal functions of y in L²(w): continuous functions, and functions with jumps at stops.
 
     ``points`` and ``weights`` (q,) integrate f(y) w(y) dy with ∫ w = 1, w being divided by
-    e^``log_norm``; ``nodes`` are the ends of ``panels``. Both sets are matrices (polynomials of all
-    panels, functions) of coefficients: ``continuous`` for levels of even degree, with zero slope in
-    t at a stop, and ``broken`` for levels of odd degree, whose functions contain the derivatives of
-    the others. The first ``counts[s][c]`` functions of set s (0 continuous, 1 broken) use at most c
-    polynomials beyond a stop, 0 for c below any used. ``mirrored``: one set is even, the other odd.
+    e^``log_norm``, and ``points`` and ``measure`` f(y) w(y)^σ dy, σ = ``POWER``. ``nodes`` are the
+    ends of ``panels``. Both sets are matrices (polynomials of all panels, functions) of
+    coefficients: ``continuous`` for levels of even degree, with zero slope in t at a stop, and
+    ``broken`` for levels of odd degree, whose functions contain the derivatives of the others. The
+    first ``counts[s][c]`` functions of set s (0 continuous, 1 broken) use at most c polynomials
+    beyond a stop, 0 for c below any used. ``mirrored``: one set is even, the other odd.
     """
 
     frame: Frame
@@ -89,6 +90,7 @@ class Basis:
     nodes: Array
     points: Array
     weights: Array
+    measure: Array
     log_norm: float
     mirrored: bool
     continuous: Array
@@ -105,10 +107,10 @@ class Basis:
         return np.asarray(self.continuous.T @ (self.at_points[0].T @ self.weights))
 
     def density(self, y: Array) -> Array:
-        """Return the weight w at ``y``, ∫ w dy = 1; 0 outside the support."""
+        """Return w^σ at ``y``; 0 outside the support."""
         inside = (y >= self.nodes[0]) & (y <= self.nodes[-1])
         log_w = _log_weight(self.frame, self.reference, np.clip(y, *self.nodes[[0, -1]]))
-        return np.where(inside, np.exp(log_w - self.log_norm), 0.0)
+        return np.where(inside, np.exp(POWER * (log_w - self.log_norm)), 0.0)
 
     @cached_property
     def at_points(self) -> tuple[Array, Array]:
@@ -182,7 +184,9 @@ def basis(frame: Frame, reference: Reference, degrees: Degrees, *, odd: bool = F
     )
     nodes = np.array([panels[0].low, *(p.high for p in panels)])
     y, w = np.concatenate(points), np.concatenate(weights) / total
-    given = frame, reference, degrees, tuple(panels), nodes, y, w, float(np.log(total)), mirrored
+    log_norm = float(np.log(total))
+    measure = w * np.exp((POWER - 1.0) * (_log_weight(frame, reference, y) - log_norm))
+    given = frame, reference, degrees, tuple(panels), nodes, y, w, measure, log_norm, mirrored
     return Basis(*given, continuous, broken, counts)
 
 

@@ -1,28 +1,28 @@
 """The FPK equation in Hermite functions: the matrix of its equations between levels.
 
 The equations, F', G', h' and C are as in docs/theory.md ("The full equation"): the density is
-p = w(y) N(z; 0, S) Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, a_i He_k = √k_i He_(k−e_i), a_i⁺ the
-adjoint of a_i, and l₁ = C₁₁: the first row of C has one entry. Levels of even degree have
-continuous functions of y, those of odd degree broken ones (``Basis``); for a broken f and a
-continuous u, (f, ∂* u) is −(f, u' + (ln w)' u).
+p = (w(y) N(z; 0, S))^σ Σ_k u_k(y) He_k(C⁻¹ z)/√k!, S = C Cᵀ, a_i He_k = √k_i He_(k−e_i), a_i⁺ the
+adjoint of a_i, and l₁ = C₁₁: the first row of C has one entry. With z = C ζ, multiplication by ζ_i
+is a_i + a_i⁺, and −∂/∂ζ_i is σ a_i⁺ − (1 − σ) a_i. Equations are multiplied by (w N)^(1−σ) times
+the same polynomials and integrated. Levels of even degree have continuous functions of y, those of
+odd degree broken ones (``Basis``); for a broken f and a continuous u, (f, ∂* u) is
+−(f, u' + (ln w)' u).
 
 A damping term adds the force −κ Π q_a^m Π v_a^n H^l v_j to mass i; −f_i is the sum of all such
-forces. With z = C ζ, ζ_j = a_j + a_j⁺, f_i is a polynomial in y and U(y) whose coefficients are
-matrices that act on the degrees k; it contributes −Σ_j C⁻¹_ji a_j⁺ f_i u. If r is its degree in z
-without the factor v_j, it couples a level to the levels from r below to r + 2 above. Levels are
-then grouped in stages, large enough that a stage is coupled to the two below and the one above
-only. Integrals are exact, so that the truncated equations stay dissipative.
+forces, a polynomial in y and U(y) whose coefficients are matrices that act on the degrees k. If r
+is its degree in z without the factor v_j, it couples a level to the levels from r + 2 below to
+r + 2 above; r is 0 without damping terms. Levels are grouped in stages. Integrals are exact.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 
 from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.degrees import Matrix, Space, combination, space_to
-from averaging.phase_space.equation.frame import Frame, linear_part
+from averaging.phase_space.equation.frame import POWER, Frame, linear_part
 from fpk.numeric.arrays import Array, Integers
 
 Polynomial = dict[tuple[int, int], Matrix]
@@ -31,12 +31,14 @@ Polynomial = dict[tuple[int, int], Matrix]
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The equations: a sparse ``matrix`` that couples stage n to n, n + 1, n − 1 and n − 2.
+    """The equations: a sparse ``matrix`` of the unknowns.
 
-    ``factor`` is C. ``places`` (degrees, most functions) are the indices of the unknowns of each
-    degree of ``space`` in the vector of all unknowns, −1 beyond the functions of a degree. Stage n
-    ends at index ``ends[n]``, its highest level first. For the highest level of each degree in the
-    other masses the matrix contains −l₁ (∂* ∂)^½, which models the omitted levels above.
+    ``factor`` is C, ``mass`` (unknowns,) has the integrals of the functions, 0 for densities that
+    change sign under reflection. ``places`` (degrees, most functions) are the indices of the
+    unknowns of each degree of ``space`` in the vector of all unknowns, −1 beyond the functions of a
+    degree. Stage n ends at index ``ends[n]``, its highest level first. For the highest level of
+    each degree in the other masses the matrix contains −l₁ (∂* ∂)^½, which models the omitted
+    levels above.
     """
 
     basis: Basis
@@ -45,6 +47,7 @@ class Chain:
     places: Integers
     ends: Integers
     matrix: Matrix
+    mass: Array
 
     @property
     def top(self) -> int:
@@ -91,12 +94,13 @@ class Chain:
         return [every[at, : np.sum(used[at].any(axis=0))] for at in spans]
 
 
-def places(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers]:
+def places(functions: Basis, space: Space, *, joined: bool) -> tuple[Integers, Integers, Integers]:
     """Return the number of functions of each degree of ``space``, its first unknown, and the ends.
 
-    ``Chain`` defines the ends. Degrees of ``space`` beyond the degrees of the basis have no
-    functions. At the highest levels the largest degree in the other masses falls by two for each
-    level, which saves a fifth of the work.
+    ``Chain`` defines the ends. Stages have r + 2 levels if ``joined``, so that a stage is coupled
+    to its two neighbours only, else half of that. Degrees of ``space`` beyond the degrees of the
+    basis have no functions. At the highest levels the largest degree in the other masses falls by
+    two for each level, which saves a fifth of the work.
     """
     degrees = functions.degrees
     table = np.zeros((space.level[-1] + 1, space.others.max() + 1), dtype=np.int64)
@@ -105,7 +109,8 @@ def places(functions: Basis, space: Space) -> tuple[Integers, Integers, Integers
             table[n, m] = functions.counts[n % 2][degrees.beyond(n, m)]
     count = np.where(space.counted <= degrees.others, table[space.level, space.others], 0)
     # Level 0 is a stage of its own.
-    stage = -(-space.level // levels_per_stage(functions.frame))
+    coupled = damping_degree(functions.frame) + 2
+    stage = -(-space.level // (coupled if joined else (coupled + 1) // 2))
     order = np.lexsort((-space.level, stage))
     start = np.empty_like(count)
     start[order] = np.cumsum(count[order]) - count[order]
@@ -120,11 +125,12 @@ Between = Sequence[Sequence[Array | None]]
 None is the identity on the functions that both levels have."""
 
 
-def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
+def chain_of(functions: Basis, *, joined: bool = False, closed: bool = False) -> Chain:
     """Return the equations in the functions of a basis, about its reference.
 
-    If ``closed``, −l₁ (∂* ∂)^½ is added for all functions that the level above lacks, not only for
-    levels with none above. Without it A has slow eigenvalues that are no eigenvalues of L.
+    For ``joined`` see ``places``. If ``closed``, −l₁ (∂* ∂)^½ is added for all functions that the
+    level above lacks, not only for levels with none above. Without it A has slow eigenvalues that
+    are no eigenvalues of L.
     """
     frame, reference, degrees = functions.frame, functions.reference, functions.degrees
     F, G, h = linear_part(frame, reference)
@@ -137,42 +143,45 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     C[:, 1:] = C[:, 1:] @ np.linalg.qr(planes.T)[0]
     inverse = np.linalg.inv(C)
     drift, noise = inverse @ F @ C, inverse @ G @ inverse.T
-    pair = 0.5 * (drift + drift.T) + noise
     y, w = functions.points, functions.weights
     force = frame.contact_force(y)
     # l₁ ∂*, between continuous functions and broken ones.
     value, slope = functions.at_points
     continuous, broken = value @ functions.continuous, value @ functions.broken
     to_continuous = (slope @ functions.continuous).T @ (w[:, None] * broken)
-    # The derivative of 1 is set to exactly 0, so that round-off does not change the mass.
-    one = functions.of_one
-    to_continuous -= np.outer(one, one @ to_continuous)
     linear, square, contact = reference.weight
     log_slope = -(linear + square * y + contact * force)
     descent = slope @ functions.continuous + log_slope[:, None] * continuous
     adjoint = C[0, 0] * to_continuous, -C[0, 0] * broken.T @ (w[:, None] * descent)
-    # h', the factor of a_i⁺.
+    # h', the factor of −∂/∂ζ_i.
     given = h[0][:, None] + h[1][:, None] * y
     given[0] -= force
     weighted = [continuous.T @ (f[:, None] * broken) for f in w * (inverse @ given)]
-    forces = [(H, H.T) for H in weighted]
-    forces[0] = weighted[0] + adjoint[0], weighted[0].T + adjoint[1]
+    # The first component of h' and the slope of w cancel.
+    forces = [(H, H.T) for H in weighted[1:]]
+    transport = weighted[0] + adjoint[0], weighted[0].T + adjoint[1]
     space = space_to(degrees.total, degrees.others, len(drift))
     up, down = space.up, [A.T.tocsr() for A in space.up]
-    constant = [
-        A @ (combination(down, f) + combination(up, g))
-        for A, f, g in zip(up, drift, pair, strict=True)
-    ]
-    couplings = [(down[0], adjoint), *zip(up, forces, strict=True)]
+    # −∂ F' ζ and ∂ G' ∂, with all a to the right of all a⁺.
+    even = 1.0 - POWER
+    constant = (-even * np.trace(drift) - even * POWER * np.trace(noise)) * sparse.eye_array(
+        len(space.level), format="csr"
+    )
+    for i, (f, g) in enumerate(zip(drift, noise, strict=True)):
+        mixed = POWER * f - even * drift[:, i] - 2.0 * even * POWER * g
+        constant += up[i] @ (combination(up, POWER * f + POWER**2 * g) + combination(down, mixed))
+        constant += down[i] @ combination(down, even**2 * g - even * f)
+    slopes = (POWER * A - even * B for A, B in zip(up[1:], down[1:], strict=True))
+    couplings = [(down[0], adjoint), (up[0], transport), *zip(slopes, forces, strict=True)]
     parts: list[tuple[Matrix, Between]] = [
-        (combination(constant, np.ones(len(up))), ((None, None), (None, None))),
+        (constant, ((None, None), (None, None))),
         *((A, ((None, H[0]), (H[1], None))) for A, H in couplings if np.any(H[0])),
     ]
-    count, start, ends = places(functions, space)
+    count, start, ends = places(functions, space, joined=joined)
     entries = [e for part in parts for e in _product_entries(*part, space, count, start)]
     if frame.system.damping_terms:
         wider, terms = damping_terms(functions, C)
-        at = places(functions, wider)[:2]
+        at = places(functions, wider, joined=joined)[:2]
         entries += [e for term in terms for e in _product_entries(*term, wider, *at)]
     table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
     table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
@@ -188,7 +197,11 @@ def chain_of(functions: Basis, *, closed: bool = False) -> Chain:
     row, column, values = (np.concatenate(part) for part in zip(*entries, strict=True))
     matrix, j = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),)), np.arange(count.max())
     unknowns = np.where(j < count[:, None], start[:, None] + j, -1)
-    return Chain(functions, C, space, unknowns, ends, matrix)
+    integrals = [functions.measure @ (value @ functions.of_level(n)) for n in range(2)]
+    chain = Chain(functions, C, space, unknowns, ends, matrix, np.zeros(0))
+    s = space.integral()
+    levels = [np.outer(s[space.span(n)], integrals[n % 2]) for n in range(space.level[-1] + 1)]
+    return replace(chain, mass=chain.pack(levels))
 
 
 def _product_entries(
@@ -231,11 +244,6 @@ def damping_degree(frame: Frame) -> int:
     """
     terms, contact = frame.system.damping_terms, frame.contact + 1
     return max((t.degree - dict(t.q).get(contact, 0) for t in terms), default=0)
-
-
-def levels_per_stage(frame: Frame) -> int:
-    """Return the levels of a stage: the least s >= r with 2 s >= r + 2, r = ``damping_degree``."""
-    return max(damping_degree(frame), (damping_degree(frame) + 3) // 2)
 
 
 def state_polynomials(
@@ -295,7 +303,7 @@ def polynomial_sum(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynom
 def damping_terms(
     functions: Basis, C: Array
 ) -> tuple[Space, list[tuple[Matrix, list[list[Array | None]]]]]:
-    """Return a space, and (A, F) of the terms A ⊗ F of −Σ_ij ``C``⁻¹_ji a_j⁺ f_i.
+    """Return a space, and (A, F) of the terms A ⊗ F of Σ_ij ``C``⁻¹_ji ∂/∂ζ_j f_i.
 
     f are the forces of ``state_polynomials``. A acts on the degrees of the space, F (``Between``)
     on the functions of y.
@@ -306,11 +314,12 @@ def damping_terms(
     operator: Polynomial = {}
     for i, force in enumerate(state_polynomials(functions, C, space)[2]):
         up = combination(space.up, inverse[:, i])
-        operator = polynomial_sum(operator, {powers: up @ X for powers, X in force.items()}, -1.0)
+        slope = POWER * up - (1.0 - POWER) * up.T
+        operator = polynomial_sum(operator, {p: slope @ X for p, X in force.items()}, -1.0)
     values, _ = functions.at_points
     sets, terms = [values @ functions.of_level(n) for n in range(2)], []
     for powers, A in operator.items():
-        weights = by_y(functions, powers)[:, None]
+        weights = (functions.weights * by_y(functions, powers))[:, None]
         F: list[list[Array | None]] = [[to.T @ (weights * of) for of in sets] for to in sets]
         if powers == (0, 0):
             F[0][0] = F[1][1] = None
@@ -319,7 +328,6 @@ def damping_terms(
 
 
 def by_y(functions: Basis, powers: tuple[int, int]) -> Array:
-    """Return weight times y^m U(y)^l at the points of the basis, (points,), ``powers`` (m, l)."""
+    """Return y^m U(y)^l at the points of the basis, (points,), ``powers`` (m, l)."""
     y = functions.points
-    energy = functions.frame.contact_energy(y) ** powers[1]
-    return np.asarray(functions.weights * y ** powers[0] * energy)
+    return np.asarray(y ** powers[0] * functions.frame.contact_energy(y) ** powers[1])

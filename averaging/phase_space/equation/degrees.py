@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from averaging.phase_space.equation.frame import Frame
+from averaging.phase_space.equation.frame import POWER, Frame
 from fpk.numeric.arrays import Array
 
 LEAST, LEAST_MIXED = 0.5, 0.3
@@ -73,36 +73,22 @@ class Degrees:
         return 2 * int(0.25 * most * (1.0 + beyond / self.outer)) + 1
 
 
-def fitting_degrees(frame: Frame) -> Degrees:
-    """Return the degrees of the solutions that the reference is fitted to."""
-    if frame.system.damping_terms:
-        return lowest(frame)
-    return Degrees(13, 5, 14) if frame.n == 2 else Degrees(9, 3, 10)
-
-
-def lowest(frame: Frame) -> Degrees:
+def first_degrees(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
-    if frame.system.damping_terms:
-        return Degrees(16, 6, 18) if frame.n == 2 else Degrees(11, 4, 12)
-    return Degrees(17, 6, 18) if frame.n == 2 else Degrees(11, 4, 12)
+    return degrees_to(frame, 13 if frame.n == 2 else 11, 13)
 
 
-def next_degrees(frame: Frame, degrees: Degrees, rise: int) -> Degrees:
-    """Return the degrees of the next solution after ``degrees``.
+def degrees_to(frame: Frame, total: int, others: int) -> Degrees:
+    """Return degrees with the highest level ``total``, and up to ``others`` in the other masses."""
+    return Degrees(total, min(others, total // frame.n), total + 1)
 
-    For two masses ``rise`` is added to ``others``, for three at most 1. With damping terms it has
-    no effect: ``total`` rises by a quarter and gives the others, since errors oscillate with the
-    degree.
+
+def next_degrees(frame: Frame, degrees: Degrees, others: int) -> Degrees:
+    """Return degrees with a quarter more levels: the errors of solutions then fall by factors.
+
+    ``others``: see ``degrees_to``. All totals are odd, since errors of even ones differ.
     """
-    d = degrees
-    if frame.system.damping_terms:
-        half = round(0.625 * d.total)
-        return Degrees(2 * half, round(0.75 * half), half + 10)
-    if frame.n == 2:
-        return Degrees(d.total + 10 - 2 * rise, d.others + rise, d.outer + 4)
-    # Errors of three masses come from the degree in the others.
-    step = 1 if rise else 2
-    return Degrees(d.total + 2 * step, d.others + min(rise, 1), d.outer + step)
+    return degrees_to(frame, degrees.total + 2 * round(0.125 * degrees.total), others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,17 +127,33 @@ class Space:
             up.append(Matrix((values, (row, column)), shape=(size, size)))
         return tuple(up)
 
-    @cached_property
-    def first_and_second(self) -> tuple[Array, Array]:
-        """a_i⁺ 1 (d, degrees of level 1) and a_i⁺ a_j⁺ 1 (d, d, degrees of level 2).
+    def integral(self, along: Sequence[Array] | Array = ()) -> Array:
+        """Return the integrals (degrees,) of the functions (``chain``) over all ζ.
 
-        Multiplied by the coefficients they give ∫ ζ_i p dζ, and ∫ ζ_i ζ_j p dζ less δ_ij times
-        level 0.
+        If orthonormal directions ``along`` (d,) are given, the function is 1 in the components of
+        ζ along them, and integrals are over the others only.
         """
-        one = np.eye(self.level.size, 1)
-        first = [A @ one for A in self.up]
-        second = [[(A @ v)[self.span(2), 0] for v in first] for A in self.up]
-        return np.array(first)[:, self.span(1), 0], np.array(second)
+        # ∂ 1 = 0 is (σ a − (1 − σ) a⁺) s = 0 for the integrals s, solved by exp(½ ρ a⁺²) 1.
+        squares = [A @ A for A in self.up]
+        squares += [-1.0 * (A @ A) for A in (combination(self.up, e) for e in along)]
+        raise_two = (0.5 * (1.0 - POWER) / POWER) * sum(squares[1:], squares[0])
+        term = total = np.eye(self.level.size, 1)[:, 0]
+        for half in range(1, int(self.level[-1]) // 2 + 1):
+            term = raise_two @ term / half
+            total = total + term
+        return np.asarray(total)
+
+    @cached_property
+    def first_moments(self) -> tuple[Array, Array, Array]:
+        """Integrals of the functions times 1, ζ_i and ζ_i ζ_j over all ζ.
+
+        (degrees,), (d, degrees) and (d, d, degrees). For the integrals s of the functions a s is
+        a⁺ s (1 − σ)/σ, so that multiplication by ζ = a + a⁺ is a⁺/σ.
+        """
+        s = self.integral()
+        first = np.array([A @ s for A in self.up]) / POWER
+        second = np.array([[A @ v for v in first] for A in self.up]) / POWER
+        return s, first, second + np.multiply.outer(np.eye(len(first)), s) / POWER
 
 
 def combination(matrices: Sequence[Matrix], factors: Array) -> Matrix:

@@ -1,8 +1,8 @@
 """Elimination of the chain of stages from the highest down, and the stationary expansion.
 
-Each stage costs the inverse of one dense block, and as much again for the coupling of a stage to
-the second stage below it. This coupling is of the order of the damping; an elimination that omits
-it serves as a preconditioner.
+Each stage costs the inverse of one dense block. The coupling of levels that are two apart is of the
+order of the damping; an elimination of stages of single levels, which omits it, serves as a
+preconditioner, at a quarter of the work of stages that contain it.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ from fpk.numeric.arrays import ROUND_OFF, Array, Integers
 
 ELIMINATED_IN: type = np.float32
 """Type of the numbers of the first elimination; double precision follows if it is too coarse."""
-CORRECTED, VECTORS = 1e-4, 30
+CORRECTED, VECTORS = 1e-4, 40
 """Factor by which a correction by GMRES lowers the residual, preconditioned in single precision,
 and the largest dimension of its space."""
 WHILE_INVERTED, OF_EQUATIONS = 4.0, 5e3
@@ -29,12 +29,10 @@ unknown. Seven solutions took 12 to 36 % less than this estimate."""
 LEAF = 200
 """Largest order of a matrix that LAPACK inverts. Larger matrices are inverted by quarters, mainly
 by matrix products, which takes a quarter of the time in single and half in double precision."""
-TOP_LEVELS = 4
-"""Number of highest levels whose norm estimates the norm of the omitted levels."""
-LARGE, NEGLIGIBLE = 0.5, 0.2
-"""Norm of the highest degrees in the other masses over the norm of the highest levels, above which
-this degree rises by two, and by one. On Fig. 6 two degrees more changed densities by at most 0.03
-of the change by ten levels more for ratios below 0.2, 0.25 below 0.5, and 4.6 above."""
+TOP_LEVELS, NEGLIGIBLE = 4, 0.1
+"""Number of highest levels whose norm estimates the norm of the omitted levels, and the norm of
+degrees in the other masses, over it, that are not needed. On Fig. 6 two degrees more changed
+densities by at most 0.03 of the change by ten levels more for ratios below 0.2."""
 
 Solve = Callable[[Array], Array]
 """Maps the right side to the solution of A u = right, vectors of all unknowns."""
@@ -56,42 +54,41 @@ class Expansion:
     levels: tuple[Array, ...]
     residual: float
 
-    def functions(self, n: int, y: Array) -> Array:
-        """Return u_k(``y``), (degrees, points), the factors of Hermite functions of level ``n``."""
-        b = self.basis
-        values, _ = b.at_points if y is b.points else b.functions(y)
-        return np.asarray(self.of_panels(n) @ values.T)
-
     def of_panels(self, n: int) -> Array:
         """Return the coefficients (degrees, polynomials of all panels) of level ``n``."""
         return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
 
     @property
-    def top(self) -> float:
-        """Norm of the highest ``TOP_LEVELS`` levels, relative to a density of mass 1."""
-        return float(np.sqrt(sum(float(np.sum(u**2)) for u in self.levels[-TOP_LEVELS:])))
-
-    @property
-    def rise(self) -> int:
-        """Increment of the degree in the others for the next solution: 2, 1 or 0."""
+    def others(self) -> int:
+        """One more than the highest degree in the other masses that is not negligible."""
         sizes = np.concatenate([np.sum(u**2, axis=1) for u in self.levels])
-        edge = np.sqrt(np.sum(sizes[self.space.counted == self.basis.degrees.others]))
-        return int(edge > LARGE * self.top) + int(edge > NEGLIGIBLE * self.top)
+        top = sum(float(np.sum(u**2)) for u in self.levels[-TOP_LEVELS:])
+        above = np.cumsum(np.bincount(self.space.counted, sizes)[::-1])[::-1]
+        return 1 + int(np.sum(above > NEGLIGIBLE**2 * top))
+
+    def given(self, functionals: Array) -> Array:
+        """Return the integrals over ζ, given y, at the points of the basis: (..., points).
+
+        ``functionals`` (..., degrees) are integrals of the functions of ζ; the results contain the
+        weights of an integral over y.
+        """
+        b = self.basis
+        panels = np.concatenate([self.of_panels(n) for n in range(len(self.levels))])
+        return np.asarray(functionals @ panels @ b.at_points[0].T * b.measure)
 
 
 def solution_cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:
     """Return the bytes and the operations on real numbers that a solution in a basis takes.
 
-    ``numbers`` is the type of the numbers of the elimination. Coupling to the second stage below,
-    included in double precision or with damping terms, takes as much again as the inverses.
+    ``numbers`` is the type of the numbers of the elimination; in double precision stages are
+    joined (``places``).
     """
     degrees, d = functions.degrees, 2 * functions.frame.n - 1
-    *_, ends = places(functions, space_to(degrees.total, degrees.others, d))
+    number = np.dtype(numbers).itemsize
+    *_, ends = places(functions, space_to(degrees.total, degrees.others, d), joined=number > 4)
     size = np.diff(ends, prepend=0).astype(float)
     blocks = float(np.sum(size**2) + WHILE_INVERTED * np.max(size) ** 2)
-    number = np.dtype(numbers).itemsize
-    paired = number > 4 or bool(functions.frame.system.damping_terms)
-    operations = (6.0 if paired else 3.0) * float(np.sum(size**3)) * (4.0 if number > 8 else 1.0)
+    operations = 3.0 * float(np.sum(size**3)) * (4.0 if number > 8 else 1.0)
     return number * blocks + OF_EQUATIONS * float(np.sum(size)), operations
 
 
@@ -105,57 +102,48 @@ def expand(
 ) -> Expansion:
     """Return the stationary expansion about ``reference`` at ``degrees``.
 
-    The elimination is in single precision, without the coupling to the second stage below unless
-    there are damping terms. If its refinement does not converge it is repeated in double precision,
-    with that coupling, unless this needs more than ``memory`` bytes. Nothing is raised if neither
-    converges: see ``Expansion.residual``. ``step`` is called with the completed share of an
-    elimination.
+    The elimination that preconditions is in single precision. If GMRES does not converge, it is
+    repeated in double precision with joined stages (``places``), unless this needs more than
+    ``memory`` bytes. Nothing is raised if neither converges: see ``Expansion.residual``. ``step``
+    is called with the completed share of an elimination.
     """
     functions = basis(frame, reference, degrees)
-    chain = chain_of(functions)
     for kind in (ELIMINATED_IN, np.float64):
-        paired = kind is np.float64 or bool(frame.system.damping_terms)
-        solve, scale = eliminate(chain, kind=kind, paired=paired, step=step)
-        u, residual = _refine(chain, solve, scale, paired=paired)
+        chain = chain_of(functions, joined=kind is np.float64)
+        # If single precision is too coarse, numbers grow beyond its range.
+        with np.errstate(over="ignore", invalid="ignore"):
+            u, residual = _solve(chain, *eliminate(chain, kind=kind, step=step))
         if residual < ROUND_OFF or solution_cost(functions, numbers=float)[0] > memory:
             break
     return Expansion(functions, chain.factor, chain.space, tuple(chain.unpack(u)), residual)
 
 
-def _refine(chain: Chain, solve: Solve, scale: float, *, paired: bool) -> tuple[Array, float]:
-    """Return the solution of mass 1 by iterative refinement with ``solve``, and its residual.
+def _solve(chain: Chain, solve: Solve, scale: float) -> tuple[Array, float]:
+    """Return the solution of mass 1 by GMRES, preconditioned by ``solve``, and its residual.
 
-    ``scale`` is the factor of the equation of the mass; ``paired``: see ``eliminate``.
+    The equation of the function 1 is not quite 0 = 0 in truncated equations: a multiple of it, that
+    vanishes as degrees rise, is left over, and the mass is prescribed. ``scale`` is the factor of
+    the equation of the mass.
     """
     matrix, one = chain.matrix, chain.basis.of_one
-    given = scale * one
+    right = np.zeros(chain.ends[-1])
+    right[: one.size] = scale * one
 
     def times(u: Array) -> Array:
-        product = matrix @ u
-        product[: one.size] += given * (one @ u[: one.size])
-        return product
+        return np.asarray(matrix @ u + right * (chain.mass @ u))
 
-    right = np.zeros(chain.ends[-1])
-    right[: one.size] = given
-    A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, solve))
     u, rest, before, magnitude = np.zeros(right.size), right, np.inf, abs(matrix)
+    A, M = (LinearOperator(2 * right.shape, f, dtype=float) for f in (times, solve))
     while True:
-        # If single precision is too coarse, the corrections grow beyond its range.
-        with np.errstate(over="ignore", invalid="ignore"):
-            if paired:
-                change = solve(rest)
-            else:
-                change, _ = gmres(A, rest, M=M, rtol=CORRECTED, restart=VECTORS, maxiter=1)
-            u = u + change
-            rest = right - times(u)
-            changed = float(np.linalg.norm(change) / np.linalg.norm(u))
-        # The equation of the mass has terms of the size of ``given``.
-        size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(given)))
+        u = u + gmres(A, rest, M=M, rtol=CORRECTED, restart=VECTORS, maxiter=1)[0]
+        rest = right - times(u)
+        # The equation of the mass has terms of the size of ``right``.
+        size = max(np.max(magnitude @ np.abs(u)), np.max(np.abs(right)))
         residual = float(np.max(np.abs(rest)) / size)
-        # Stop when corrections no longer fall by half, or at round-off.
-        if not changed < 0.5 * before or residual <= RESIDUAL:
-            return u, residual
-        before = changed
+        # Stop when residuals no longer fall by half, or at round-off.
+        if not residual < 0.5 * before or residual <= RESIDUAL:
+            return u / (chain.mass @ u), residual
+        before = residual
 
 
 def eliminate(
@@ -163,59 +151,43 @@ def eliminate(
     *,
     shift: complex = 0.0,
     kind: type = np.float64,
-    paired: bool = True,
     step: Step = lambda share: None,
 ) -> tuple[Solve, float]:
     """Eliminate the stages of (A − ``shift``) u = right from the highest down.
 
-    Returns the function that solves the equations, and a factor. Without a shift the equation of
-    the function 1 is 0 = 0 and is replaced by factor · mass = right; the factor is the size of the
-    terms of 1 in the equations. With a shift it is 0. ``kind`` is the type of the numbers. Unless
-    ``paired``, the coupling of stages to the second stage below is omitted. ``step`` is called with
+    Returns the function that solves the equations, and a factor. Couplings of stages that are not
+    neighbours are omitted. Without a shift factor · (level 0 of the mass) is added to the equation
+    of the function 1, which would be nearly 0 = 0; the factor is the size of the terms of 1 in the
+    equations. With a shift it is 0. ``kind`` is the type of the numbers. ``step`` is called with
     the completed share of the work.
     """
     top = chain.top
     work = np.cumsum(np.diff(chain.ends, prepend=0)[::-1].astype(float) ** 3)
     inverses: list[Array] = []
-    two_below = np.zeros((0, 0))
     A = chain.within(top, shift=shift, kind=kind)
     matrix = chain.matrix.astype(A.dtype, copy=False)
     above, forced = (chain.blocks(matrix, away) for away in (1, -1))
-    pairs = chain.blocks(matrix, -2) if paired else []
     for n in range(top, 0, -1):
-        inverse = inverse_by_quarters(A, chain.cuts(n))
+        inverses.insert(0, inverse_by_quarters(A, chain.cuts(n)))
         A = chain.within(n - 1, shift=shift, kind=kind)
-        # Effect of stage n on stage n − 1, through the stages below that force stage n.
-        back = above[n - 1] @ inverse
-        A -= back @ forced[n - 1]
-        if paired and n < top:
-            A += back @ two_below
-        if paired and n > 1:
-            two_below = back @ pairs[n - 2]
-        inverses.insert(0, inverse)
+        # Effect of stage n on stage n − 1, which forces it.
+        A -= (above[n - 1] @ inverses[0]) @ forced[n - 1]
         step(work[top - n] / work[-1])
     scale = 0.0
     if not shift:
         one: Array = chain.basis.of_one.astype(kind, copy=False)
         scale = float(np.max(np.abs(A) @ np.abs(one)))
-        A = A + scale * np.outer(one, one)
+        A[: one.size, : one.size] += scale * np.outer(one, one)
     inverses.insert(0, np.asarray(np.linalg.inv(A), dtype=A.dtype))
 
     def solve(right: Array) -> Array:
         parts = np.split(right.astype(A.dtype, copy=False), chain.ends[:-1])
         # Downwards the response of each stage without the stages below it, then back up.
-        alone = [inverses[top] @ parts[top]]
+        u = [inverses[top] @ parts[top]]
         for n in range(top - 1, -1, -1):
-            alone.insert(0, inverses[n] @ (parts[n] - above[n] @ alone[0]))
-        u = [alone[0]]
+            u.insert(0, inverses[n] @ (parts[n] - above[n] @ u[0]))
         for n in range(1, top + 1):
-            below = forced[n - 1] @ u[n - 1]
-            if paired and n > 1:
-                below += pairs[n - 2] @ u[n - 2]
-            if paired and n < top:
-                # Effect of u_(n−1) on stage n by way of stage n + 1.
-                below -= above[n] @ (inverses[n + 1] @ (pairs[n - 1] @ u[n - 1]))
-            u.append(alone[n] - inverses[n] @ below)
+            u[n] = u[n] - inverses[n] @ (forced[n - 1] @ u[n - 1])
         return np.concatenate(u)
 
     return solve, scale

@@ -1,11 +1,8 @@
 """The full system (6) relative to its contact mass, linear in the other variables; references."""
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.hermite_e import hermegauss
-from scipy.linalg import solve_continuous_lyapunov
 
 from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import Array
@@ -13,11 +10,12 @@ from fpk.numeric.errors import NotApplicable
 from fpk.system.equivalent import equivalent_temperature
 from fpk.system.system import System, looks_the_same_mirrored
 
-LINEARISATIONS = 20
-"""Number of linear systems solved in turn, each with the contact force averaged over the Gaussian
-state of the last; fixed, since the states may alternate."""
-FORCE_POINTS = 80
-"""Gauss points of the average of the contact force over a Gaussian y."""
+POWER = 0.75
+"""σ: densities are polynomials times (w N)^σ, w N the weight of ``Reference``. With 1 the equations
+for moments of low degree close, but for masses of unequal temperatures functions of high degree
+grow without bound; with 1/2 no function can grow, but moments converge more slowly."""
+LEAST_STIFFNESS = 0.25
+"""Smallest stiffness w₂ S₁₁ of the weight of y over the stiffness with all other masses free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +80,13 @@ def contact_frame(system: System) -> Frame:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The density that a solution is expanded about: w(y) times a Gaussian in z = (v, x).
+    """The weight w(y) N(z; 0, S) of the polynomials, N a Gaussian in z = (v, x).
 
-    x = r − a y − x₀ with a = ``slope`` and x₀ = ``offset`` (n − 1,); ``covariance`` S
-    (2n − 1, 2n − 1) is of z. ln w(y) = −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``, the
-    potential of the force on the contact mass over S₁₁, so that the force cancels in the equations.
+    Its power σ = ``POWER`` is the density that a solution is expanded about. x = r − a y − x₀ with
+    a = ``slope`` and x₀ = ``offset`` (n − 1,); S = ``covariance`` (2n − 1, 2n − 1), σ times the
+    covariance of that density. ln w(y) = −(w₁ y + ½ w₂ y² + w₃ U(y)), (w₁, w₂, w₃) = ``weight``,
+    the potential of the force on the contact mass over S₁₁, so that the force cancels in the
+    equations.
     """
 
     slope: Array
@@ -124,13 +124,19 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
     """Return the reference whose slope, offset and S follow from moments of (y, r, v).
 
     The means of v in ``mean`` (2n,) are not used, and w(y) follows from the force and S₁₁, not from
-    the moments of y; ``covariance`` is (2n, 2n). Raises as ``make_reference``.
+    the moments of y; ``covariance`` is (2n, 2n). A slope by which the other masses would push the
+    contact mass outwards is lowered (``LEAST_STIFFNESS``). Raises as ``make_reference``.
     """
-    n = frame.n
+    n, K = frame.n, frame.stiffness
     slope = covariance[1:n, 0] / covariance[0, 0]
+    free = -np.linalg.solve(K[1:, 1:], K[1:, 0])
+    most = (1.0 - LEAST_STIFFNESS) * (K[0, 0] + K[0, 1:] @ free)
+    lost = K[0, 1:] @ (free - slope)
+    if lost > most:
+        slope = free + most / lost * (slope - free)
     offset = mean[1:n] - slope * mean[0]
     to_z = np.linalg.inv(Reference(slope, offset, covariance, np.zeros(3)).to_state[0])[1:]
-    return make_reference(frame, slope, offset, to_z @ covariance @ to_z.T)
+    return make_reference(frame, slope, offset, POWER * to_z @ covariance @ to_z.T)
 
 
 def gibbs_reference(frame: Frame) -> Reference:
@@ -147,46 +153,9 @@ def gibbs_reference(frame: Frame) -> Reference:
             raise NotApplicable("a stationary density in phase space needs damping and noise")
         T = noise / damping
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
-    covariance = T * np.eye(2 * n - 1)
-    covariance[n:, n:] = T * np.linalg.inv(K[1:, 1:])
+    covariance = POWER * T * np.eye(2 * n - 1)
+    covariance[n:, n:] = POWER * T * np.linalg.inv(K[1:, 1:])
     return make_reference(frame, slope, np.zeros(n - 1), covariance)
-
-
-def gaussian_start(frame: Frame) -> Reference:
-    """Return the Gaussian state by statistical linearisation of the contact force.
-
-    g(y) is replaced by E g + k (y − E y), k = E g (y − E y)/Var y, with the means over the Gaussian
-    state of the linear system with this force (Roberts and Spanos, Random Vibration and Statistical
-    Linearization, 1990). With damping terms it is ``gibbs_reference``. Raises ``LinAlgError`` if
-    the linear system has no stationary state, otherwise as ``gibbs_reference``.
-    """
-    gibbs, n = gibbs_reference(frame), frame.n
-    if frame.system.damping_terms:
-        return gibbs
-    x, weight = hermegauss(FORCE_POINTS)
-    weight /= weight.sum()
-    centre, variance = 0.0, 1.0 / gibbs.weight[1]
-    noise = np.zeros((2 * n, 2 * n))
-    noise[n:, n:] = 2.0 * frame.noise
-    for _ in range(LINEARISATIONS):
-        y = centre + np.sqrt(variance) * x
-        force = frame.contact_force(y)
-        k = float(weight @ (force * (y - centre))) / variance
-        stiffness = frame.stiffness.copy()
-        stiffness[0, 0] += k
-        drift = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -frame.damping]])
-        with warnings.catch_warnings():
-            # A warning means an undamped motion; the covariance is then not positive.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            covariance = solve_continuous_lyapunov(drift, -noise)
-        means = np.linalg.solve(stiffness, (k * centre - float(weight @ force)) * np.eye(n)[0])
-        if not covariance[0, 0] > 0.0:
-            raise np.linalg.LinAlgError("the linear system has no stationary state")
-        # Half a step, since a softer stop lets y move to where it is stiffer.
-        centre, variance = 0.5 * (centre + means[0]), 0.5 * (variance + covariance[0, 0])
-    # If mirror images are equally likely the means are 0 up to round-off.
-    mean = np.zeros(2 * n) if frame.symmetric else np.concatenate([means, np.zeros(n)])
-    return with_moments(frame, mean, covariance)
 
 
 def linear_part(frame: Frame, reference: Reference) -> tuple[Array, Array, Array]:

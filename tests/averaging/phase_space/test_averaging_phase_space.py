@@ -148,6 +148,41 @@ def test_tolerances_and_identities_of_a_vibro_impact_system_hold():
     assert abs(next(v for k, v in result.settings.items() if k.startswith("net power"))) > 1e-3
 
 
+ONE_NOISE = fpk.System(
+    [1.0, 0.8], [1.5, 0.6], [0.08, 0.12], [0.15, 0.0],
+    contacts=stop(2, "right", 6.0, 0.25, law="bilinear"),
+)  # fmt: skip
+UNEQUAL = fpk.System(
+    [0.64, 2.418], [0.412, 0.776], [0.0858, 0.0112], [0.0202, 0.01567],
+    contacts=stop(1, "left", 105.935, 0.4538, law="power", exponent=2.5),
+)  # fmt: skip
+LIGHT = fpk.System(
+    [1.2, 0.02], [1.0, 0.02], [[0.08, -0.0008], [-0.0008, 0.0008]], [0.01],
+    noise_gain=[[1.2], [0.02]], contacts=stop(2, "both", 0.5, 0.6),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("system", "name", "values", "standard_errors"),
+    [
+        (ONE_NOISE, "q2", (0.59137, 0.57258), (0.00025, 0.00024)),
+        (UNEQUAL, "q1", (0.53794, 0.48704), (0.00070, 0.00060)),
+        (LIGHT, "q2", (0.70977, 0.66352), (0.00047, 0.00027)),
+    ],
+    ids=["noise on one mass", "unequal temperatures", "a light mass between stops"],
+)
+def test_what_is_far_from_one_gaussian_agrees_with_another_simulation(
+    system, name, values, standard_errors
+):
+    """Simulated outside of this program: p at 0 and 0.3, and standard errors."""
+    (answer,) = PhaseSpace(tol=5e-3).solve(system, [parse_observable(name, 2)]).densities
+    assert answer.certificate.certified
+    at = np.array([0.0, 0.3])
+    apart = np.abs(answer.pdf(at) - values)
+    assert np.all(apart <= answer.pointwise(at) + 4.0 * np.array(standard_errors))
+    assert np.all(answer.pointwise(at) < 0.02)
+
+
 @pytest.mark.parametrize(
     ("system", "words"),
     [
