@@ -30,6 +30,10 @@ from fpk.numeric.machine import usable_cores
 PANELS, MORE = 3, 4.0 / 3.0
 """Panels between rest and the largest speed on the first mesh; ratio of the numbers of panels of
 successive meshes: the least by which three become four."""
+KICKS = 8.0
+"""Largest panel of the first mesh over the velocity change by noise in half a period: with 16, at a
+damping ratio of 0.0025, an error of a spectrum was 20 times the stated one, on the next meshes 0.5
+times."""
 
 
 def uniform_ladder(
@@ -43,11 +47,13 @@ def uniform_ladder(
     """
     top = rarest_energy(o)
     highest, level = top * HIGHER**TRIALS, 0
+    swift, reach = np.sqrt(2.0 * top / o.mass), o.turning_point(top, 1.0)
+    first = min(1.0 / PANELS, KICKS * o.kick(reach) / swift)
     coarser: PlaneState | None = None
     ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
         while True:
-            finest = stationary_state(energy_mesh(o, top, level, MORE**-level / PANELS))
+            finest = stationary_state(energy_mesh(o, top, level, first * MORE**-level))
             if abs(finest.outflow) > OUTFLOW * o.frequency:
                 top *= HIGHER
                 if top > highest:
