@@ -17,7 +17,7 @@ from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.plane.dynamics import uniform_ladder
 from averaging.phase_space.plane.first_passage import phase_space_passage
-from averaging.phase_space.plane.oscillator import oscillator_of
+from averaging.phase_space.plane.oscillator import oscillator_of, require_broad
 from averaging.phase_space.plane.stationary import plane_ladder, plane_ladder_of
 from averaging.phase_space.plane.transient import plane_transient
 from averaging.phase_space.refinement import (
@@ -129,11 +129,12 @@ class PhaseSpace(Theory):
         )
 
     def prepare(self, system: System) -> Plan:
-        """Return the plan for ``system``; raise ``NotApplicable`` as ``_frame`` does."""
+        """Return the plan; raise ``NotApplicable`` as ``_frame`` and ``require_broad`` do."""
         ladders: Callable[..., Iterator[Ladder]]
         of: Callable[..., Ladder]
         frame = self._frame(system)
         if system.n == 1:
+            require_broad(oscillator_of(system))
             ladders, of = partial(plane_ladder, oscillator_of(system)), plane_ladder_of
         else:
             ladders, of = partial(solution_ladder, frame), ladder_of

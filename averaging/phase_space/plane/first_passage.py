@@ -79,9 +79,7 @@ def phase_space_passage(asked: Asked) -> Passage:
     mesh_of = energy_mesh if of_energy else partial(displacement_mesh, fastest=fastest)
     for level in count():
         mesh = mesh_of(o, most, level=level)
-        across = (mesh.s.size - 1) * mesh.degree
-        unknowns = (mesh.x.size - 1) * (mesh.degree + 1) * across
-        if unknowns > MOST_PASSAGE_UNKNOWNS:
+        if mesh.unknowns > MOST_PASSAGE_UNKNOWNS:
             break
         if on_orbit:
             state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
@@ -91,7 +89,7 @@ def phase_space_passage(asked: Asked) -> Passage:
             if answer.certificate.certified:
                 break
         previous = results
-        asked.progress(unknowns, MOST_PASSAGE_UNKNOWNS, "first passage")
+        asked.progress(mesh.unknowns, MOST_PASSAGE_UNKNOWNS, "first passage")
     if answer is None:
         raise NotCertified("the motion is too finely structured: light noise, or stiff stops")
     return answer

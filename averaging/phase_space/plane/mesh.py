@@ -1,7 +1,7 @@
 """Meshes of the states of one mass within a limit |q| < b or H < E."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import asin, ceil, log, pi, sqrt
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from averaging.phase_space.plane.oscillator import Oscillator
-from fpk.numeric.arrays import EPS, SMALLEST, Array
+from fpk.numeric.arrays import EPS, SMALLEST, Array, Integers
 
 GRADED = 1.1
 """Largest panel over its distance to a glancing point, where q scales as v³, or a turning point."""
@@ -23,6 +23,9 @@ STOP_GRADING = 1.5
 """Largest panel over its distance to a stop whose force is a fractional power of the overlap."""
 SMOOTH_DEGREE = 8
 """Degree on meshes of densities that are nearly 0 at the limit."""
+MARKED = 0.03
+"""Panels are halved from this share of the largest unresolved part on, which by halving falls by up
+to 2⁻⁹: smaller shares halve panels for nothing, larger ones take more solutions."""
 LENGTH_SAMPLES = 401
 """Points on each half of an interval at which the length of panels is evaluated."""
 
@@ -50,6 +53,30 @@ class Mesh:
         """Number of functions of s."""
         return (self.s.size - 1) * self.degree + 1
 
+    @property
+    def numbers_of_s(self) -> Integers:
+        """Numbers (panels of s, degree + 1) of the functions of s; neighbours share one."""
+        first = self.degree * np.arange(self.s.size - 1, dtype=np.int32)
+        return np.add.outer(first, np.arange(self.degree + 1, dtype=np.int32))
+
+    @property
+    def unknowns(self) -> int:
+        """About the number of unknowns."""
+        return (self.x.size - 1) * (self.degree + 1) * (self.s.size - 1) * self.degree
+
+    def refined(self, along: Array, across: Array) -> "Mesh":
+        """Return the mesh with panels halved by the L1 norms of unresolved parts of a density.
+
+        ``along`` and ``across`` are those on panels of x and of s, which stay symmetric.
+        """
+        parts = along, np.maximum(across, across[::-1])
+        limit = MARKED * max(float(part.max()) for part in parts)
+        x, s = (
+            np.sort(np.append(nodes, (nodes[1:] + nodes[:-1])[part > limit] / 2.0))
+            for nodes, part in zip((self.x, self.s), parts, strict=True)
+        )
+        return replace(self, x=x, s=s)
+
     def q(self, x: Array) -> tuple[Array, Array]:
         """Return q and dq/dx at ``x``."""
         if self.energy is None:
@@ -68,7 +95,7 @@ class Mesh:
         if self.energy is None:
             return q, v
         share = np.clip((q - self.centre) / self.radius, -1.0, 1.0)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             s = np.where(v == 0.0, 0.0, v / self.w(q))
         return np.arcsin(share), np.clip(s, -1.0, 1.0)
 

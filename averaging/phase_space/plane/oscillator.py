@@ -24,6 +24,9 @@ FALL = -log(EPS)
 HIGHER, TRIALS = 1.5, 12
 """Ratio of successive limits of the energy that are tried for a density that should be nearly 0
 there, and their largest number."""
+DEEPEST = 100.0
+"""Largest −ln of the density at rest over its maximum, on a limit cycle: with 100 a van der Pol
+oscillator takes 5 s and 37,000 unknowns, with 333 the elimination does not end in a minute."""
 WEIGHT_DEGREE, FITTED, SAMPLED, ORBIT_POINTS = 6, 24, 97, 24
 """Degree of the polynomial fitted to Ψ', energies it is fitted at, energies its extremes are sought
 at, and points of an orbit between two stops. Any smooth weight gives the same density; the closer
@@ -197,10 +200,10 @@ def averaged_fall(o: Oscillator, top: float) -> Polynomial:
 def weighted(o: Oscillator, top: float) -> Oscillator:
     """Return ``o`` with a weight of energies below ``top`` by ``averaged_fall``.
 
-    Where Ψ ranges over more than ``FALL``, it is scaled to that. Without damping terms ``o`` itself
-    is returned.
+    Where Ψ ranges over more than ``FALL``, it is scaled to that. Without damping terms, and with a
+    weight, ``o`` itself is returned.
     """
-    if o.terms is None:
+    if o.terms is None or o.fall is not None:
         return o
     psi = averaged_fall(o, top)
     return replace(o, fall=psi * min(1.0, FALL / np.max(psi(np.linspace(0.0, top, SAMPLED)))))
@@ -217,3 +220,11 @@ def rarest_energy(o: Oscillator) -> float:
         if top > MAX_ENERGY:
             raise NotCertified("the averaged density does not fall with the energy")
     return top
+
+
+def require_broad(o: Oscillator) -> None:
+    """Raise ``NotApplicable`` if the averaged density at rest is below exp(−``DEEPEST``) of its
+    maximum: a thin ring."""
+    if o.terms is not None and (depth := averaged_fall(o, rarest_energy(o))(0.0)) > DEEPEST:
+        words = f"the density is a thin ring about rest, where it is e^−{depth:.0f} of its maximum"
+        raise NotApplicable(f"{words}: too little noise for elements; use montecarlo")

@@ -3,44 +3,49 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count
 from math import ceil
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from averaging.phase_space.densities import sides, solution_settings
 from averaging.phase_space.marginals import marginal
 from averaging.phase_space.plane.elements import (
-    EXTRA_POINTS,
+    POINTS,
     Elements,
     assemble_backward,
     panel_functions,
+    to_lobatto,
 )
-from averaging.phase_space.plane.first_passage import CHANCE_SHARE
 from averaging.phase_space.plane.mesh import Mesh, energy_mesh
 from averaging.phase_space.plane.oscillator import HIGHER, TRIALS, Oscillator, rarest_energy
 from averaging.phase_space.refinement import (
     DENSITY_ROUND_OFF,
+    DISTANCE_SAFETY,
     SLOWEST_FALL,
     Ladder,
     Options,
     solution_distance,
 )
-from fpk.answer.certificate import DISTANCE_FACTOR
-from fpk.answer.names import Coordinate, Observable
+from fpk.answer.names import Observable
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import NotCertified
-from fpk.numeric.quadrature import panel_rule
+from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MOST_POINTS = 1_000_000
 """Largest number of points at which a density is evaluated at once."""
-PANEL, FINER = 0.2, 0.72
-"""Length of the panels of the first level over the largest speed; ratio of successive lengths."""
+PANEL, FINER = 0.25, 0.72
+"""Length of the panels of the first level over the largest speed; in time, ratio of the lengths of
+successive levels."""
+FASTEST_FALL = 8.0
+"""Largest factor by which an error is taken to be below that of the coarser solution: then
+``DISTANCE_SAFETY`` covers 1.5 times the largest of 104 errors, without bound a quarter of it."""
 BYTES, OPERATIONS = 1.3e4, 4e5
 """Memory and operations of a solution over its number of unknowns: the factors have 60 entries for
 each."""
 OUTFLOW = 1e-10
-"""Largest probability that passes the limit of the energy in a radian, or, in time, at all."""
+"""Largest probability that may pass the limit of the energy."""
+RESOLVED = 0.1
+"""Largest unresolved part of a density whose square bounds the error of its outflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,46 +73,64 @@ class PlaneState:
         if np.broadcast(q, v).size > MOST_POINTS and max(len(q), len(v)) > 1:
             halves = [np.array_split(a, 2) if len(a) > 1 else [a, a] for a in (q, v)]
             return np.concatenate(list(map(self.density, *halves)))
-        x, _ = m.coordinates(q.ravel(), np.zeros(q.size))
-        row, a = panel_functions(m.x, m.degree, x, shared=0)
-        of_s = np.einsum("pi,pik->pk", a, self.table[row])
+        of_s = self.along(q.ravel())
         H = o.energy(q, v)
         assert m.energy is not None
         inside = m.energy > H
-        v = np.where(q < 0.0, -v, v) if m.folded else v
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = np.where(inside, v / m.w(q), 0.0)
-        column, b = panel_functions(m.s, m.degree, np.clip(s, m.s[0], m.s[-1]))
+        column, b = panel_functions(m.s, m.degree, m.coordinates(q, v)[1])
         number = np.arange(q.size).reshape((*q.shape, 1))
         u = np.sum(b * of_s[number, column], axis=-1)
-        doubled = 0.5 if m.folded else 1.0
-        return np.where(inside, doubled * u * np.exp(-o.psi(np.where(inside, H, 0.0))), 0.0)
+        return np.where(inside, u * np.exp(-o.psi(np.where(inside, H, 0.0))), 0.0)
 
-    def rule(self, share: float = 1.0) -> tuple[Array, Array]:
-        """Return displacements and weights of a Gauss rule on the panels of the mesh.
-
-        ``share`` multiplies the number of points on a panel.
-        """
+    def along(self, q: Array) -> Array:
+        """Return the coefficients (..., functions of s) of the ratio at displacements ``q``."""
         m = self.mesh
-        x, w = panel_rule(m.x, ceil(share * (m.degree + EXTRA_POINTS)))
-        q, slope = m.q(x)
-        q, w = q.ravel(), (w * slope).ravel()
-        return (np.append(-q[::-1], q), np.append(w[::-1], w)) if m.folded else (q, w)
+        x, _ = m.coordinates(q, np.zeros_like(q))
+        row, a = panel_functions(m.x, m.degree, x, shared=0)
+        # On a folded mesh the mass of the density is on half of the plane.
+        of_s = np.einsum("...i,...ik->...k", a, self.table[row])
+        return np.asarray(0.5 * of_s if m.folded else of_s)
+
+    def values(self, share: float = 1.0) -> Array:
+        """Return the functions of a panel at ``share`` of the Gauss points (points, degree + 1)."""
+        t, _ = gauss_legendre(ceil(share * POINTS * self.mesh.degree))
+        return panel_functions(np.array([-1.0, 1.0]), self.mesh.degree, t)[1]
 
     @cached_property
-    def _measure(self) -> tuple[Array, Array, Array]:
-        """Displacements (rows, 1), velocities and shares of the mass (rows, columns) of a rule."""
-        m = self.mesh
-        (q, of_q), s = self.rule(), panel_rule(m.s, m.degree + EXTRA_POINTS)
-        w = m.w(q)[:, None]
-        v = s[0].ravel() * w
-        shares = self.density(q[:, None], v) * (of_q[:, None] * w * s[1].ravel())
-        return q[:, None], v, shares
+    def _measure(self) -> tuple[Array, Array, Array, Array]:
+        """q, v, exp(−Ψ) dq dv, coefficients of the ratio; axes: panels of x, of s, points or
+        functions of x, of s."""
+        m, points = self.mesh, len(self.values())
+        (x, of_x), (s, of_s) = (panel_rule(nodes, points) for nodes in (m.x, m.s))
+        q, slope, of_x = (a[:, None, :, None] for a in (*m.q(x), of_x))
+        v = s[:, None, :] * m.w(q)
+        area = of_x * slope * m.w(q) * of_s[:, None, :]
+        table = self.table.reshape(len(x), m.degree + 1, -1)[..., m.numbers_of_s].swapaxes(1, 2)
+        return q, v, area * np.exp(-m.oscillator.psi(m.oscillator.energy(q, v))), table
+
+    @cached_property
+    def unresolved(self) -> tuple[Array, Array]:
+        """L1 norms of the parts of the two highest degrees in x and in s, on the panels of each."""
+        (*_, area, table), values, degree = self._measure, self.values(), self.mesh.degree
+        t, _ = gauss_legendre(len(values))
+        highest = legvander(t, degree)[:, -2:] @ to_lobatto(degree)[-2:]
+        along, across = highest @ table @ values.T, values @ table @ highest.T
+        return np.sum(np.abs(along) * area, (1, 2, 3)), np.sum(np.abs(across) * area, (0, 2, 3))
+
+    @cached_property
+    def lost(self) -> float:
+        """Probability that passes the limit in the time in which the noise feeds the mean energy,
+        about the relaxation time; 0 of a density in time."""
+        o = self.mesh.oscillator
+        return float(abs(np.nan_to_num(self.outflow)) * o.mass / o.noise * self.mean(o.energy))
 
     def mean(self, function: Callable[[Array, Array], Array]) -> float:
         """Return the mean of a function of displacement and velocity."""
-        q, v, shares = self._measure
-        return float(np.sum(shares * function(q, v)))
+        (q, v, area, table), values = self._measure, self.values()
+        found = function(q, v)
+        if self.mesh.folded:
+            found = 0.5 * (found + function(-q, -v))
+        return float(np.sum(values @ table @ values.T * area * found))
 
 
 def stationary_state(mesh: Mesh) -> PlaneState:
@@ -146,13 +169,17 @@ def _(
         return e.density(q, p / mass) / mass
 
     def of_q(q: Array) -> Array:
-        s, weight = (a.ravel() for a in panel_rule(m.s, ceil(share * (m.degree + EXTRA_POINTS))))
-        w = m.w(np.clip(q, ends[0], ends[-1]))[..., None]
-        return np.asarray(e.density(q[..., None], s * w) @ weight * w[..., 0])
+        values, w, o = e.values(share), m.w(q)[..., None, None], m.oscillator
+        s, weight = panel_rule(m.s, len(values))
+        area = weight * w * np.exp(-o.psi(o.energy(q[..., None, None], s * w)))
+        ratio = e.along(q)[..., m.numbers_of_s] @ values.T
+        return np.asarray(np.sum(ratio * area, axis=(-2, -1)))
 
     def of_p(p: Array) -> Array:
-        q, weight = e.rule(share)
-        return np.asarray(joint(q, p[..., None]) @ weight)
+        x, weight = panel_rule(m.x, len(e.values(share)))
+        q, slope = m.q(x.ravel())
+        halves = [joint(side * q, p[..., None]) for side in ((-1.0, 1.0) if m.folded else (1.0,))]
+        return np.asarray(sum(halves) @ (weight.ravel() * slope))
 
     pdf: dict[tuple[str, ...], Callable[..., Array]]
     pdf = {("q",): of_q, ("p",): of_p, ("q", "p"): joint, ("p", "q"): lambda p, q: joint(q, p)}
@@ -178,21 +205,18 @@ def _(e: PlaneState) -> dict[str, str | float | int]:
 
 @sides.register
 def _(e: PlaneState) -> list[tuple[str, float, float]]:
-    o = e.mesh.oscillator
-    m, s = o.mass, np.sqrt(e.mean(lambda q, v: q**2 + 0.0 * v))
+    o, mean = e.mesh.oscillator, e.mean
+    m, s = o.mass, np.sqrt(mean(lambda q, v: q**2 + 0.0 * v))
 
     def force(q: Array, v: Array) -> Array:
         return o.force(q) + o.drag(q, v) * v
 
+    bent = mean(lambda q, v: v**2 * np.cos(q / s) / s)
     return [
-        ("Σ c_ij E v_i v_j", e.mean(lambda q, v: o.drag(q, v) * v**2), o.noise / m),
-        ("E p1²/m", e.mean(lambda q, v: m * v**2), e.mean(lambda q, v: q * force(q, v))),
-        (
-            "E v1² cos(q1/s)/s",
-            e.mean(lambda q, v: v**2 * np.cos(q / s) / s),
-            e.mean(lambda q, v: np.sin(q / s) * force(q, v) / m),
-        ),
-        ("E v1 sin(q1/s)", e.mean(lambda q, v: v * np.sin(q / s)), 0.0),
+        ("Σ c_ij E v_i v_j", mean(lambda q, v: o.drag(q, v) * v**2), o.noise / m),
+        ("E p1²/m", mean(lambda q, v: m * v**2), mean(lambda q, v: q * force(q, v))),
+        ("E v1² cos(q1/s)/s", bent, mean(lambda q, v: np.sin(q / s) * force(q, v) / m)),
+        ("E v1 sin(q1/s)", mean(lambda q, v: v * np.sin(q / s)), 0.0),
     ]
 
 
@@ -200,58 +224,51 @@ def plane_ladder_of(
     finest: PlaneState,
     coarser: PlaneState,
     observables: Sequence[Observable],
-    before: Ladder | None = None,
     *,
     added: float = 0.0,
+    solutions: int = 2,
 ) -> Ladder:
     """Return the ladder of two solutions, the errors from the L1 distances of their densities.
 
-    ``before`` is the ladder with ``coarser`` as its finer solution, or None. Distances that fall by
-    a factor r < 2 from one mesh to the next leave an error of 1/(r − 1) of the last. ``added`` is a
-    further L1 error.
+    An error is ``DISTANCE_SAFETY`` d/(r − 1), d the distance and r the factor by which the parts
+    ``unresolved`` fall, from ``SLOWEST_FALL`` to ``FASTEST_FALL``, and ``added``, and ``lost``.
     """
-    ladder = Ladder(finest, coarser, {}, {}, {}, "", before.solutions + 1 if before else 2)
-    single = [(Coordinate("q", 0),), (Coordinate("p", 0),)]
-    least = CHANCE_SHARE * max(solution_distance(finest, coarser, one) for one in single)
+    ladder = Ladder(finest, coarser, {}, {}, {}, "", solutions)
+    fine, coarse = (sum(float(part.sum()) for part in e.unresolved) for e in (finest, coarser))
+    share = DISTANCE_SAFETY / (float(np.clip(coarse / fine, SLOWEST_FALL, FASTEST_FALL)) - 1.0)
     for one in observables:
-        own = solution_distance(finest, coarser, one)
-        ladder.believed[one] = max(own, least)
-        error = DISTANCE_FACTOR * ladder.believed[one]
-        if before and ladder.believed[one] > 0.0:
-            rate = max(before.believed[one] / ladder.believed[one], SLOWEST_FALL)
-            error *= max(1.0, 1.0 / (rate - 1.0))
-        ladder.errors[one] = error + DENSITY_ROUND_OFF + added
-        ladder.factors[one] = ladder.errors[one] / own if own > 0.0 else 0.0
+        own = ladder.believed[one] = solution_distance(finest, coarser, one)
+        ladder.errors[one] = share * own + DENSITY_ROUND_OFF + added + finest.lost
+        ladder.factors[one] = max(ladder.errors[one] / own, 1.0) if own > 0.0 else 0.0
     return ladder
 
 
 def plane_ladder(
     o: Oscillator, observables: Sequence[Observable], options: Options
 ) -> Iterator[Ladder]:
-    """Yield ladders of solutions on finer meshes; the last is yielded again with its ``limit``.
+    """Yield ladders of two solutions on refined meshes; the last is yielded again with its limit.
 
-    Energies end where so little passes that the density does not feel it, and a little higher on
-    each finer mesh, so that the difference of two solutions shows what is missing. Raises
-    ``NotCertified`` if the density does not fall with the energy.
+    The coarser is two degrees lower on the same mesh. Energies end where hardly any motion passes.
+    Raises ``NotCertified`` as ``rarest_energy`` does.
     """
-    top, ladder = rarest_energy(o), None
-    for _ in range(TRIALS):
-        coarser = stationary_state(energy_mesh(o, top, 0, PANEL))
-        if coarser.outflow < OUTFLOW * o.frequency:
-            break
-        top *= HIGHER
-    else:
-        raise NotCertified("the density does not fall with the energy")
-    for level in count(1):
-        mesh = energy_mesh(o, top * HIGHER ** (level / TRIALS), level, PANEL * FINER**level)
-        unknowns = (mesh.x.size - 1) * (mesh.degree + 1) * (mesh.s.size - 1) * mesh.degree
-        limit = options.refusal(BYTES * unknowns, OPERATIONS * unknowns)
-        if ladder is not None and limit:
-            break
-        options.step(f"phase space, {unknowns} unknowns")(0.0)
+    top, trials, solutions, before = rarest_energy(o), 0, 0, np.inf
+    mesh = energy_mesh(o, top, 0, PANEL)
+    while True:
         finest = stationary_state(mesh)
-        ladder = plane_ladder_of(finest, coarser, observables, ladder)
+        # A coarse mesh has an outflow of its own, which does not fall as the limit rises.
+        rough = sum(float(part.sum()) for part in finest.unresolved)
+        falls = OUTFLOW < finest.lost < before
+        known = rough < RESOLVED and finest.lost > max(OUTFLOW, rough**2)
+        if (falls or known) and trials < TRIALS:
+            top, trials, before = HIGHER * top, trials + 1, finest.lost
+            mesh = energy_mesh(o, top, 0, PANEL)
+            continue
+        options.step(f"phase space, {finest.unknowns} unknowns")(0.0)
+        coarser = stationary_state(replace(finest.mesh, degree=mesh.degree - 2))
+        solutions += 2
+        ladder = plane_ladder_of(finest, coarser, observables, solutions=solutions)
         yield ladder
-        coarser = finest
-    assert ladder is not None
-    yield replace(ladder, limit=limit)
+        mesh = finest.mesh.refined(*finest.unresolved)
+        if limit := options.refusal(BYTES * mesh.unknowns, OPERATIONS * mesh.unknowns):
+            yield replace(ladder, limit=limit)
+            return

@@ -71,13 +71,12 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
         top = min(energy + rarest_energy(o), spread**2)
     except NotCertified:
         top = spread**2
-    ladders: list[Ladder | None] = [None] * times.size
+    ladders: list[Ladder] = []
     coarser: list[PlaneState] = []
     for level in count():
         for _ in range(TRIALS):
             mesh = energy_mesh(o, top, level, PANEL * FINER**level)
-            unknowns = (mesh.x.size - 1) * (mesh.degree + 1) * (mesh.s.size - 1) * mesh.degree
-            limit = options.refusal(BYTES * unknowns, OPERATIONS * unknowns)
+            limit = options.refusal(BYTES * mesh.unknowns, OPERATIONS * mesh.unknowns)
             if level > 1 and limit:
                 break
             e = assemble_backward(mesh)
@@ -92,13 +91,13 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
         options.step(f"transient, mesh {level + 1}")(0.0)
         if coarser:
             ladders = [
-                plane_ladder_of(a, b, [observable], before, added=c)
-                for a, b, before, c in zip(now, coarser, ladders, changed, strict=True)
+                plane_ladder_of(a, b, [observable], added=c)
+                for a, b, c in zip(now, coarser, changed, strict=True)
             ]
-            if max(ladder.errors[observable] for ladder in ladders if ladder) <= asked.tol:
+            if max(ladder.errors[observable] for ladder in ladders) <= asked.tol:
                 break
         coarser, top = now, top * HIGHER ** (1.0 / TRIALS)
-    found = [replace(x, limit=limit) for x in ladders if x]
+    found = [replace(x, limit=limit) for x in ladders]
     densities = [expansion_density(x, observable, asked.tol) for x in found]
     at = [density.at(*asked.at) for density in densities]
     settings = {
