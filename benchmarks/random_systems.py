@@ -154,7 +154,7 @@ def summary(records: list[dict[str, Any]]) -> str:
     """Return counts, true over stated errors where they are known, and the largest costs."""
     let = [r for r in records if not r["refused"]]
     ratios = [t / s for r in let for t, doubt, s in errors(r) if doubt <= KNOWN * s] or [0.0]
-    seconds, gigabytes = (max(r[key] for r in let) for key in ("seconds", "gigabytes"))
+    seconds, gigabytes = (max(r[k] for r in [*let, *records[:1]]) for k in ("seconds", "gigabytes"))
     answered = sum(outcome(r) == "answered" for r in let)
     return (
         f"{len(records)} systems, {len(records) - len(let)} refused by check, {answered} answered;"
