@@ -105,10 +105,12 @@ def modes_of_observable(observable: Observable) -> list[int]:
 def modal_limits(limit: Limit, start: EnergyStart) -> dict[int, float]:
     """Return the limit of each limited modal energy by its 0-based mode, empty for the sum H.
 
-    Raises ``NotApplicable`` for a displacement, ``InvalidInput`` for a start at or above the limit.
+    Raises ``NotApplicable`` for a displacement or velocity, ``InvalidInput`` for a start at or
+    above the limit.
     """
-    if limit.kind == "q":
-        raise NotApplicable(f"{limit}: averaged modal energies know no displacement; use H, H1, …")
+    if not limit.of_energy:
+        words = "averaged modal energies know no displacement or velocity; use H, H1, …"
+        raise NotApplicable(f"{limit}: {words}")
     energies = {f"H{m + 1}": float(H) for m, H in enumerate(start.energies)}
     energies["H"] = sum(energies.values())
     if any(energies[name] >= value for name, value in limit.values.items()):

@@ -13,7 +13,7 @@ import pytest
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
 from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement, resolvent
-from averaging.phase_space.plane import first_passage
+from averaging.phase_space.plane import elements, first_passage
 from averaging.time import MODAL_TOL
 from cases.api import PresentedAnswers
 from cases.command import studies
@@ -143,7 +143,7 @@ CONSTANTS = {
         f"as long as a solution needs at most {refinement.SOLUTION_MEMORY:g} GB",
         f"for `phase-space` {DYNAMICS} and {short(phase_space.RELAXATION_TOL)} if left out",
         f"to {short(first_passage.TOL)} (H) or"
-        f" {short(first_passage.GLANCING_TOL)} (a displacement)",
+        f" {short(first_passage.GLANCING_TOL)} (a displacement or velocity)",
         f"of `fem` {short(theory.DEFAULT)}, with two energies {short(MODAL_TOL)},",
         f"judged by an L1 error of {short(theory.DEFAULT)}, of systems with",
         f"stops on more than two masses by {short(theory.DEFAULT_BY_LINES)}.",
@@ -179,7 +179,7 @@ CONSTANTS = {
         f"less than {refinement.LIGHT_RATIO} of the one before",
         f"{refinement.LEAST_RATIO} of the largest",
         f"from {resolvent.BLOCK} random vectors",
-        f"Velocities are followed {math.sqrt(-2.0 * math.log(EPS)):.1f} kicks of noise",
+        f"Energies rise until it is below {elements.RELIABILITY_SHARE:g} of the tolerance",
         f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
         f" or {first_passage.DISTANCE_FACTOR * first_passage.CHANCE_SHARE:g} times the largest"
         " relative one",

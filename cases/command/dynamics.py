@@ -138,7 +138,12 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
 
 
 @asking(
-    click.option("--limit", metavar="LIMIT", required=True, help="H=1.5, H1=0.4,H2=0.6 or q2=1.2."),
+    click.option(
+        "--limit",
+        metavar="LIMIT",
+        required=True,
+        help="H=1.5, H1=0.4,H2=0.6, q2=1.2, 'q2>1.2', 'q2<-0.8' or v2=0.9.",
+    ),
     START,
     click.option("--times", metavar="LIST", help="Times at which the reliability is given."),
     *(TOL, *SIMULATED),

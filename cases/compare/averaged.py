@@ -165,7 +165,7 @@ class AveragedSimulation(Method):
         Raises ``NotApplicable`` for a kind of limit that the theory does not have.
         """
         line, d = self.theory == "nonintegrable", form.scales.size
-        if limit.kind == "q" or (limit.kind == "modal" and line):
+        if not limit.of_energy or (limit.kind == "modal" and line):
             known = "H" if line else "H and of modal energies"
             raise NotApplicable(f"{limit}: this theory knows limits of {known} only")
         if limit.kind == "modal":

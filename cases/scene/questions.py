@@ -137,18 +137,21 @@ def _times(table: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def require_below(system: System, limit: Limit, start: Start) -> None:
-    """Raise ``InvalidInput`` if a |q_i|, H or H_m that ``start`` gives is >= its ``limit``.
+    """Raise ``InvalidInput`` if a q_i, v_i, H or H_m that ``start`` gives is beyond its ``limit``.
 
     A state gives all of them, an energy H alone, modal energies also their sum, a lower bound of H.
     The other quantities are not known yet; methods check the states from which they start.
     """
-    least = dict(start.values)
+    least, passed = dict(start.values), False
     if start.kind == "state":
         q, p = start.state(system.n)
         least = {f"H{m + 1}": H for m, H in enumerate(modal_energies(system, q, p))}
-        least |= {f"q{i + 1}": abs(x) for i, x in enumerate(q)}
         least["H"] = float(system.hamiltonian(q, p))
+        if not limit.of_energy:
+            passed = bool(limit.distance(q, p / system.mass) <= 0.0)
     elif start.kind == "modal":
         least["H"] = sum(least.values())  # and what is stored in contacts
-    if any(least.get(name, 0.0) >= value for name, value in limit.values.items()):
-        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
+    if limit.of_energy:
+        passed = any(least.get(name, 0.0) >= value for name, value in limit.values.items())
+    if passed:
+        raise InvalidInput("start", str(start), f"must lie within the limit {limit}")

@@ -168,7 +168,7 @@ SCENE = _table(
     passage=_list(
         _table(
             "limit",
-            limit=(TEXT, "H=1.5, H1=0.4,H2=0.6 (either) or q2=1.2 (|q2|)"),
+            limit=(TEXT, "H=1.5, H1=0.4,H2=0.6 (either), q2=1.2 (|q2|), q2>1.2, q2<-0.8 or v2=0.9"),
             start=(TEXT, "rest where it is left out; H=0.3, q1=0.2,p1=0.1 or noise=0.5"),
             times=(TIMES, "times of the reliability"),
             theory=(THEORY, "what the claims are about; nonintegrable where it is left out"),

@@ -20,8 +20,8 @@ Powers = tuple[float, float, float]
 NUMBER: Powers = (0, 0, 0)
 """Exponents of a quantity without a unit, such as a probability."""
 
-DIMENSIONS: dict[str, Powers] = {"q": (1, 0, 0), "p": (1, 1, -1), "H": (2, 1, -2)}
-"""Powers of length, mass and time of a displacement, a momentum and an energy."""
+DIMENSIONS: dict[str, Powers] = {"q": (1, 0, 0), "v": (1, 0, -1), "p": (1, 1, -1), "H": (2, 1, -2)}
+"""Powers of length, mass and time of a displacement, a velocity, a momentum and an energy."""
 
 DERIVED: dict[str, Powers] = {
     "displacement": (1, 0, 0),

@@ -100,18 +100,22 @@ def number_text(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
+Kinds = Iterable[tuple[str, Sequence[str], int]]
+"""Kinds of quantities, with the allowed names and the smallest number of names."""
+
+
 def parse_numbers(
-    key: str, text: str, kinds: Iterable[tuple[str, Sequence[str], int]], remedy: str
+    key: str, text: str, kinds: Kinds, remedy: str, *, relation: str = "="
 ) -> tuple[str, dict[str, float]]:
     """Return the kind and the numbers by name of ``text``, such as ``a=1,b=2``.
 
-    ``kinds`` are tuples (kind, allowed names, smallest number of names); the first that fits is
-    returned. Raises ``InvalidInput(key, text, remedy)`` if none fits, a name is given twice or a
-    number is not finite.
+    The first of ``kinds`` that fits is returned. ``relation`` stands between name and number.
+    Raises ``InvalidInput(key, text, remedy)`` if none fits, a name is given twice or a number is
+    not finite.
     """
     values: dict[str, float] = {}
     for part in text.split(","):
-        name, _, number = (word.strip() for word in part.partition("="))
+        name, _, number = (word.strip() for word in part.partition(relation))
         try:
             value = float(number)
         except ValueError:
@@ -137,12 +141,21 @@ class Named:
         return ",".join(f"{k}={number_text(v)}" for k, v in self.values.items()) or "rest"
 
 
+@dataclass(frozen=True)
 class Limit(Named):
     """Limits of safe operation: the system fails when a quantity first exceeds its value.
 
     ``kind`` is "H" (the total energy; in modal averaging the sum of modal energies), "modal"
-    (modal energies H1.., whichever exceeds its limit first) or "q" (|q_i| of one displacement).
+    (modal energies H1.., whichever exceeds its limit first), "q" or "v" (displacement or velocity x
+    of one mass). ``relation`` is "=" for energies and for |x|, ">" or "<" where x passes its value
+    in that direction.
     """
+
+    relation: str = "="
+
+    def __str__(self) -> str:
+        """Return the text that users write, such as ``q1>1.2``."""
+        return super().__str__().replace("=", self.relation)
 
     @property
     def value(self) -> float:
@@ -150,30 +163,63 @@ class Limit(Named):
         (value,) = self.values.values()
         return value
 
-    def observable(self, n: int) -> Observable:
-        """Return the only limited quantity in a system of ``n`` masses; ``ValueError`` if there are
-        several."""
+    @property
+    def row(self) -> int:
+        """Number, from 0, of the mass whose displacement or velocity is limited."""
         (name,) = self.values
-        return parse_observable(name, n)
+        return int(name[1:]) - 1
+
+    @property
+    def of_energy(self) -> bool:
+        """Whether energies are limited, not a displacement or velocity."""
+        return self.kind in ("H", "modal")
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Ends of the safe interval of the displacement or velocity, −∞ or ∞ where there is no
+        limit."""
+        low = {"=": -self.value, "<": self.value, ">": -inf}[self.relation]
+        return low, inf if self.relation == "<" else self.value
+
+    @property
+    def ends(self) -> list[float]:
+        """Finite ones of the ``bounds``, the right one first."""
+        return [end for end in self.bounds[::-1] if isfinite(end)]
+
+    def distance(self, q: "Array", v: "Array") -> "Array":
+        """Return the distance (...) of displacements ``q``, velocities ``v`` (..., n) from the
+        nearest of the ``bounds``, <= 0 at the limit and beyond."""
+        import numpy as np  # noqa: PLC0415  (see above)
+
+        (low, high), x = self.bounds, (q if self.kind == "q" else v)[..., self.row]
+        return np.asarray(np.minimum(high - x, x - low))
 
 
 def parse_limit(text: str, n: int) -> Limit:
     """Return the limit named by ``text`` in a system of ``n`` masses.
 
-    The energy, modal energies (the first to exceed its limit) or a displacement may be limited::
+    The energy, modal energies (the first to exceed its limit), or the displacement or velocity of a
+    mass may be limited, these on both sides or on one::
 
         parse_limit("H=1.5", 2), parse_limit("H1=0.4,H2=0.6", 2), parse_limit("q2=1.2", 2)
+        parse_limit("q2>1.2", 2), parse_limit("q1<-0.8", 2), parse_limit("v1=0.9", 2)
 
     Raises ``InvalidInput`` for an unknown name, several limits of other quantities than modal
-    energies, or a value that is not finite or below ``LEAST_LIMIT``.
+    energies, or a value that is not finite, or is not ``LEAST_LIMIT`` or more; on one side of a
+    displacement or velocity 0 is a limit, too, and so are negative values of that size.
     """
+    relation = next((sign for sign in "<>" if sign in text), "=")
     kinds = [("modal", [f"H{i + 1}" for i in range(n)], 1), ("H", ["H"], 1)]
-    kinds += [("q", [f"q{i + 1}"], 1) for i in range(n)]
+    kinds = kinds if relation == "=" else []
+    kinds += [(kind, [f"{kind}{i + 1}"], 1) for kind in "qv" for i in range(n)]
     # Examples that this system has: of two masses both are shown, of one its own.
     several = "H1=0.4 or H1=0.4,H2=0.6 (whichever is passed first)" if n > 1 else "H1=0.4"
-    remedy = f"use H=1.5, {several}, or q{min(n, 2)}=1.2 for |q{min(n, 2)}|, without a unit"
-    limit = Limit(*parse_numbers("limit", text, kinds, remedy))
-    if min(limit.values.values()) < LEAST_LIMIT:
+    q, v = (f"{kind}{min(n, 2)}" for kind in "qv")
+    either = f"{q}=1.2 for |{q}|, {q}>1.2, {q}<-1.2 or {v}=1.2"
+    remedy = f"use H=1.5, {several}, {either}, without a unit"
+    limit = Limit(*parse_numbers("limit", text, kinds, remedy, relation=relation), relation)
+    least = min(limit.values.values())
+    if (least if relation == "=" else abs(least) or inf) < LEAST_LIMIT:
         raise InvalidInput("limit", text, f"must be > 0, {LEAST_LIMIT:g} at least")
     return limit
 

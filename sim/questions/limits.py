@@ -1,7 +1,6 @@
 """Limits of first passage, and steps so short that the motion between two is known."""
 
 from collections.abc import Iterator
-from functools import partial
 from math import ceil, inf, isfinite, pi, sqrt
 from typing import NamedTuple
 
@@ -24,26 +23,38 @@ from sim.step.schemes import SCHEMES
 
 
 def energies_of(limit: Limit, n: int) -> tuple[Coordinate, ...]:
-    """Return (H,), the limited modal energies of ``n`` masses by mode, or () for |q_i|."""
-    if limit.kind == "q":
+    """Return (H,), the limited modal energies of ``n`` masses by mode, or () for q_i and v_i."""
+    if not limit.of_energy:
         return ()
     modes = [Coordinate("H", m) for m in range(n) if f"H{m + 1}" in limit.values]
     return tuple(modes) or (Coordinate("H"),)
 
 
 def energies_at(system: System, limit: Limit) -> Array:
-    """Return the limits of ``energies_of``; of |q_i| < a the least energies (2,) at q_i = a, −a."""
-    if limit.kind != "q":
+    """Return the limits of ``energies_of``; of q_i and v_i the least energies at ``limit.ends``."""
+    if limit.of_energy:
         return np.array([limit.values[str(c)] for c in energies_of(limit, system.n)])
-    i, springs = limit.observable(system.n)[0].row, 0.5 * limit.value**2
-    contact = [float(system.contact_energy(i, side * limit.value)) for side in (1.0, -1.0)]
-    return springs / float(system.compliance[i, i]) + np.array(contact)
+    i, halves = limit.row, 0.5 * np.square(limit.ends)
+    if limit.kind == "v":
+        return np.asarray(float(system.mass[i]) * halves)
+    contact = [float(system.contact_energy(i, end)) for end in limit.ends]
+    return np.asarray(halves / float(system.compliance[i, i]) + np.array(contact))
+
+
+def values_at(system: System, limit: Limit) -> Array:
+    """Return what the compiled readers compare: the energies (limits,) of ``energies_of``, both
+    bounds of q_i, or the momenta p_i (limits,) at ``limit.ends``."""
+    if limit.kind == "q":
+        return np.array(limit.bounds)
+    if limit.kind == "v":
+        return np.asarray(float(system.mass[limit.row]) * np.array(limit.ends))
+    return energies_at(system, limit)
 
 
 def states_beyond(system: System, limit: Limit, q: Array, p: Array) -> Flags:
     """Return flags (paths,): True if ``q``, ``p`` (paths, n) is at or beyond ``limit``."""
-    if limit.kind == "q":
-        return np.asarray(np.abs(q[:, limit.observable(system.n)[0].row]) >= limit.value)
+    if not limit.of_energy:
+        return np.asarray(limit.distance(q, p / system.mass) <= 0.0)
     reached = (1.0 - ROUND_OFF) * energies_at(system, limit)
     H = [values_of(system, c, q, p) for c in energies_of(limit, system.n)]
     return np.asarray(np.any(np.transpose(H) >= reached, axis=1))
@@ -73,12 +84,12 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
     """Return the estimated time in which noise and the speed of the ``start`` reach the ``limit``.
 
     For H it is (√L − √E)²/N, E the energy of the start and N = Σ N_ii/m_i the power of the noise;
-    for modal energies the same from rest, N the power into the mode. For |q_i| it is computed
+    for modal energies the same from rest, N the power into the mode. For q_i and v_i it is computed
     without stops, up to a factor 2 too small, and inf if longer than the shortest natural period.
-    For H and |q_i| it is inf, too, if the start is at or beyond the limit.
+    For H, q_i and v_i it is inf, too, if the start is at or beyond the limit.
     """
     away, energy = np.sqrt(energies_at(system, limit)), largest_energy(system, start)
-    if limit.kind != "q":
+    if limit.of_energy:
         power: Array = np.sum(np.diag(system.noise_matrix) / system.mass, keepdims=True)
         if limit.kind == "modal":
             power = modal_rates(system, limit, system.noise_matrix)
@@ -86,14 +97,22 @@ def time_to_limit(system: System, limit: Limit, start: Start = REST) -> float:
             away = np.maximum(away - sqrt(energy), 0.0)
         filling = np.max(power / away**2) if np.all(away > 0.0) else 0.0
         return float(1.0 / filling) if filling > 0.0 else inf
-    i, time = limit.observable(system.n)[0].row, 2.0 * pi / step_size.highest_frequency(system)
-    distance, speed = limit.value, sqrt(2.0 * energy / system.mass[i])
-    if start.kind == "state":
-        q, p = start.state(system.n)
-        distance, speed = distance - abs(q[i]), abs(p[i]) / system.mass[i]
-    flow = partial(flow_covariance, drift_matrix(system), diffusion_matrix(system))
+    i, highest = limit.row, step_size.highest_frequency(system)
+    time, (q, p) = 2.0 * pi / highest, start.state(system.n)  # without a state 0
+    rate, distance = sqrt(2.0 * energy / system.mass[i]), float(limit.distance(q, p / system.mass))
+    unit = np.append(np.ones(system.n), system.mass)
+    if limit.kind == "v":
+        i, rate = system.n + i, highest * rate
+    elif start.kind == "state":
+        rate = abs(p[i]) / system.mass[i]
+    drift, b = drift_matrix(system), diffusion_matrix(system)
+
+    def spread(time: float) -> float:  # of a velocity soonest without damping
+        variance = float(flow_covariance(drift, b, time)[1][i, i])
+        return sqrt(max(variance, float(b[i, i]) * time)) / float(unit[i])
+
     shorter = time
-    while speed * shorter + sqrt(flow(shorter)[1][i, i]) >= distance > 0.0:
+    while rate * shorter + spread(shorter) >= distance > 0.0:
         shorter *= 0.5
     return shorter if shorter < time else inf
 
@@ -116,8 +135,9 @@ def motion_reach(system: System, limit: Limit | None, start: Start, time: float)
     with_noise = energy + (step_size.REACHED * kT if isfinite(kT) else 0.0)
     if limit is None:
         return Reach(kT, with_noise)
-    at, of_q = energies_at(system, limit), limit.kind == "q"
-    energy = max(float(np.max(at)), with_noise) if of_q else max(float(np.sum(at)), energy)
+    at = energies_at(system, limit)
+    ends = (np.sum(at), energy) if limit.of_energy else (np.max(at), with_noise)
+    energy = float(max(ends))
     kT = min(kT, 2.0 * energy) if limit.kind == "H" else kT  # m v² <= 2 H
     return Reach(kT, energy, time_to_limit(system, limit), time_to_limit(system, limit, start))
 

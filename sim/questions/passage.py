@@ -71,7 +71,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
             both = (0.5 * first, False), (first, True)
             pair = [ensemble_from(system, q, p, h, seed, halved=x, **options) for h, x in both]
         stream = stream_of(seed, number, of_starts=True)
-        chance = stream.exponential(size=(paths, max(1, len(energies))))
+        chance = stream.exponential(size=(paths, limits.energies_at(system, limit).size))
         return [(e, 2 - k, read, (k,)) for k, e in enumerate(pair)], past, chance
 
     with working(method, system, tol, start) as (workers, watch, origin):

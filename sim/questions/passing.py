@@ -15,7 +15,7 @@ from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.linear import natural_modes
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
-from sim.questions.limits import energies_at, energies_of, modal_rates
+from sim.questions.limits import energies_of, modal_rates, values_at
 from sim.sample.ensemble import Reader
 from sim.step.arrays import W
 from sim.step.kernel import kernel_checksum
@@ -66,20 +66,22 @@ def distance_to(limit: float, H: float, variance: float, growth: float, at_rest:
 
 
 @njit_inline
-def cubic_passage(c: Cubic, limit: float) -> float:
-    """Return the first s in (0, 1] with |q(s)| >= ``limit``, |q(0)| being less; 2 if none."""
-    turning, low = turning_points(c), 0.0
+def cubic_passage(c: Cubic, low: float, high: float) -> float:
+    """Return the first s in (0, 1] with q(s) <= ``low`` or >= ``high``, q(0) between; 2 if none."""
+    turning, before = turning_points(c), 0.0
     for end in (turning[0], turning[1], 1.0):
-        if abs(value_of(c, end)) >= limit:
-            high = end
+        value = value_of(c, end)
+        if min(high - value, value - low) <= 0.0:
+            after = end
             for _ in range(30):  # to 1e-9 of the step
-                middle = 0.5 * (low + high)
-                if abs(value_of(c, middle)) >= limit:
-                    high = middle
+                middle = 0.5 * (before + after)
+                value = value_of(c, middle)
+                if min(high - value, value - low) <= 0.0:
+                    after = middle
                 else:
-                    low = middle
-            return high
-        low = end
+                    before = middle
+            return after
+        before = end
     return 2.0
 
 
@@ -88,11 +90,12 @@ NEGLIGIBLE_NATS = 40.0
 
 
 class Diffusion(NamedTuple):
-    """Diffusion of energies, dH = … + σ dB, as quadratic forms of the momenta p."""
+    """Diffusion of energies, dH = … + σ dB, as quadratic forms of the momenta p, or of one p_i."""
 
     variance: Array  # (limits, n, n), F of σ² = pᵀ F p
     growth: Array  # (limits, n, n), G of β σ² = pᵀ G p, see ``distance_to``
     at_rest: Array  # (limits,), β for p = 0
+    of_momentum: Array  # (limits,), the constant σ of p_i, −σ at a lower limit; of energies 0
 
 
 def reader(function: Callable[..., None]) -> Reader:
@@ -151,9 +154,10 @@ def count_upcrossings(
 @reader
 def pass_displacement(
     trace: Array, samples: int, done: int, time: Array, chance: Array, dt: float, begin: float,
-    row: int, momentum: int, inverse_mass: float, limit: float,
+    row: int, momentum: int, inverse_mass: float, low: float, high: float,
 ) -> None:  # fmt: skip
-    """Write the time when |q| first passes ``limit`` to ``time`` (blocks, 1, LANES), if inf there.
+    """Write the time when q first leaves (``low``, ``high``) to ``time`` (blocks, 1, LANES), if inf
+    there.
 
     A ``Reader``; ``chance`` is not used. q and p are the rows ``row``, ``momentum`` of ``trace``, v
     = ``inverse_mass`` · p; the states ``done`` to ``done`` + ``samples`` lie ``dt`` apart, number 0
@@ -167,10 +171,11 @@ def pass_displacement(
             # A cubic exceeds the larger of its ends by 4/27 · h (|v0| + |v1|) at most.
             slope = 4.0 / 27.0 * dt * inverse_mass
             for w in range(W):
-                reach = max(abs(q0[w]), abs(q1[w])) + slope * (abs(p0[w]) + abs(p1[w]))
-                if reach >= limit and own[w] == np.inf:
+                most = slope * (abs(p0[w]) + abs(p1[w]))
+                near = min(q0[w], q1[w]) - most <= low or max(q0[w], q1[w]) + most >= high
+                if near and own[w] == np.inf:
                     v0, v1 = inverse_mass * p0[w], inverse_mass * p1[w]
-                    share = cubic_passage(cubic_of(q0[w], v0, q1[w], v1, dt), limit)
+                    share = cubic_passage(cubic_of(q0[w], v0, q1[w], v1, dt), low, high)
                     if share <= 1.0:
                         own[w] = begin + (done + k + share) * dt
 
@@ -183,18 +188,18 @@ def pass_energies(
     """Write the time when an energy first passes its limit to ``time`` (blocks, 1, LANES), if less.
 
     Energies are the ``rows`` (limits,) of ``trace``, momenta the rows from ``first``; times of the
-    samples follow from ``done``, ``dt`` and ``begin``. Between samples the distance d
-    (``distance_to``) is a Brownian bridge, which reaches 0 with the probability exp(−2 d0 d1/h), h
-    in ``spread`` (samples,) being ∫e² dt, at the share d0/(d0 + |d1|) of the step. A limit is
-    passed when the sum of −ln(1 − probability) exceeds its exponential number in ``chance``
-    (blocks, limits, LANES), from which the sum is subtracted in place: at another step the same
-    motion passes at nearly the same time.
+    samples follow from ``done``, ``dt`` and ``begin``. A momentum may take the place of an energy.
+    Between samples the distance d (``distance_to``) is a Brownian bridge, which reaches 0 with the
+    probability exp(−2 d0 d1/h), h in ``spread`` (samples,) being ∫e² dt, at the share d0/(d0 +
+    |d1|) of the step. A limit is passed when the sum of −ln(1 − probability) exceeds its
+    exponential number in ``chance`` (blocks, limits, LANES), from which the sum is subtracted in
+    place: at another step the same motion passes at nearly the same time.
     """
     variance, rise, before, after = np.empty(W), np.empty(W), np.empty(W), np.empty(W)
     for b in range(trace.shape[0]):
         own = time[b, 0]
         for m in range(rows.size):
-            left, limit = chance[b, m], limits[m]
+            left, limit, sigma = chance[b, m], limits[m], diffusion.of_momentum[m]
             for k in range(samples + 1):
                 state = trace[b, k].reshape(trace.shape[2] * W)
                 quadratic_form(variance, state, first, diffusion.variance[m])
@@ -202,7 +207,11 @@ def pass_energies(
                 H = trace[b, k, rows[m]]
                 near, h = 0, spread[max(k - 1, 0)]
                 for w in range(W):
-                    after[w] = distance_to(limit, H[w], variance[w], rise[w], diffusion.at_rest[m])
+                    if sigma != 0.0:
+                        after[w] = (limit - H[w]) / sigma
+                    else:
+                        at_rest = diffusion.at_rest[m]
+                        after[w] = distance_to(limit, H[w], variance[w], rise[w], at_rest)
                     near += 2.0 * before[w] * after[w] < NEGLIGIBLE_NATS * h
                 if k > 0 and near > 0:
                     end = begin + (done + k) * dt
@@ -219,12 +228,18 @@ def pass_energies(
 
 
 def diffusion_of(system: System, limit: Limit) -> Diffusion:
-    """Return the diffusion of the energies that ``limit`` is on by the noise N = f D fᵀ.
+    """Return the diffusion of the energies or the velocity that ``limit`` is on by N = f D fᵀ.
 
     For H, F = 2 M⁻¹ N M⁻¹ and G = 8 M⁻¹ N M⁻¹ N M⁻¹; for a mode of shape T_m the same with its own
-    momentum; empty for |q_i|. If no noise reaches an energy, the distance to its limit is huge.
+    momentum; for v_i at each of ``limit.ends`` σ² = 2 N_ii of p_i; empty for q_i. If no noise
+    reaches an energy or a velocity, the distance to its limit is huge.
     """
     N = system.noise_matrix
+    if limit.kind == "v":
+        sigma = np.sqrt(max(2.0 * float(N[limit.row, limit.row]), SMALLEST))
+        sides = np.where(np.array(limit.ends) == limit.bounds[1], sigma, -sigma)
+        none = np.zeros((sides.size, system.n, system.n))
+        return Diffusion(none, none, 0.0 * sides, sides)
     if limit.kind == "H":
         mobility = np.diag(1.0 / system.mass)
         F = (2.0 * mobility @ N @ mobility)[None]
@@ -234,7 +249,8 @@ def diffusion_of(system: System, limit: Limit) -> Diffusion:
         F = 2.0 * modal_rates(system, limit, N)[:, None, None] * T[:, :, None] * T[:, None, :]
         G = 4.0 * modal_rates(system, limit, N)[:, None, None] * F
     trace_f, trace_g = (np.trace(form, axis1=1, axis2=2) for form in (F, G))
-    return Diffusion(F, G, np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST))
+    at_rest = np.maximum(trace_g / np.maximum(trace_f, SMALLEST), SMALLEST)
+    return Diffusion(F, G, at_rest, np.zeros_like(at_rest))
 
 
 @lru_cache(maxsize=64)  # the same for all blocks
@@ -270,9 +286,12 @@ def reader_of(system: System, limit: Limit, dt: float, begin: float = 0.0) -> Re
     """
     n, known = system.n, dict[str, Any](dt=dt, begin=begin)
     if limit.kind == "q":
-        row = limit.observable(n)[0].row
-        known |= {"inverse_mass": 1.0 / float(system.mass[row]), "limit": limit.value}
-        return partial(pass_displacement, row=row, momentum=n + row, **known)
-    values = energies_at(system, limit)
+        known |= dict(zip(("low", "high"), limit.bounds, strict=True))
+        known |= {"inverse_mass": 1.0 / float(system.mass[limit.row])}
+        return partial(pass_displacement, row=limit.row, momentum=n + limit.row, **known)
     known |= {"modulation": system.modulation, "diffusion": diffusion_of(system, limit)}
-    return partial(pass_under, first=n, rows=2 * n + np.arange(values.size), limits=values, **known)
+    values = values_at(system, limit)
+    rows = np.arange(2 * n, 2 * n + values.size)
+    if limit.kind == "v":
+        rows[:] = n + limit.row
+    return partial(pass_under, first=n, rows=rows, limits=values, **known)

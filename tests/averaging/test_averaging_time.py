@@ -195,7 +195,7 @@ TRANSIENTS = [
 ]
 PASSAGES = [
     (FEM, FREE, "H1=1", "rest", (), NotApplicable, "total energy"),
-    (FEM, FREE, "q1=1", "rest", (), NotApplicable, "total energy"),
+    (FEM, FREE, "q1<-1", "rest", (), NotApplicable, "^q1<-1: .* total energy"),
     (FEM, FREE, "H=1", "H=1", (), InvalidInput, "below the limit"),
     (FEM, FREE, "H=1000", "rest", (), InvalidInput, "beyond the range"),
     (FEM, FREE, "H=1", "rest", [-1.0], InvalidInput, "0 or later"),
@@ -209,6 +209,7 @@ PASSAGES = [
     (FEM, SILENT, "H=0.9", "rest", [5.0], NotApplicable, "no noise at any time"),
     (FEM, FED, "H=0.05", "rest", [12.0], NotApplicable, "feeds energy in"),
     (PLANE, FREE, "q2=1", "rest", (), NotApplicable, "no displacement"),
+    (PLANE, FREE, "v2>1", "rest", (), NotApplicable, "^v2>1: .* velocity; use H"),
     (MODES, FREE, "H=1", "rest", (), NotApplicable, "use fem"),
     (PLANE, FREE, "H1=1", "H1=1,H2=0", (), InvalidInput, "below the limit"),
     (PLANE, FREE, "H=1", "H1=0.5,H2=0.6", (), InvalidInput, "below the limit"),

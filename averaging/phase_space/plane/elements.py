@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, legder, legval, legvander
 from scipy.linalg import expm
 from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, splu
 
 from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.plane.mesh import Mesh
@@ -62,8 +62,8 @@ class Elements:
     s, may jump between panels of x (upwind fluxes), and are divided by their norms. Vectors are
     (unknowns,): ``one`` the coefficients of the function 1, ``load`` the scalar products of 1,
     ``exit`` the scalar products of −L 1, the flux through the limit, which computed as K ``one``
-    would be round-off if failure is rare. ``free`` are the indices of the unknowns among all
-    functions.
+    would be round-off if failure is rare, and ``cut`` the part of it through edges of the mesh that
+    are no limit. ``free`` are the indices of the unknowns among all functions.
     """
 
     mesh: Mesh
@@ -71,6 +71,7 @@ class Elements:
     M: csc_array
     load: Array
     exit: Array
+    cut: Array
     one: Array
     free: Integers
 
@@ -114,11 +115,19 @@ class Elements:
         second = 2.0 * float(y @ (self.M @ self.mean)) * mean / float(start @ self.mean)
         return mean, second, abs(factor - 1.0)
 
+    def escape(self, start: Array) -> float:
+        """Return the share of what fails, from ``start`` or late, that leaves by ``cut``."""
+        y, (_, late) = self.solve(start, "T"), self.slowest
+        return max(abs(float((z @ self.cut) / (z @ self.exit))) for z in (y, late))
+
+    @cached_property
     def slowest(self) -> tuple[float, Array]:
-        """Return the least eigenvalue of −L and the coefficients (unknowns,) of its density.
+        """The least eigenvalue of −L and the coefficients (unknowns,) of its density.
+
+        Raises ``NotCertified`` where further eigenvalues are so close that it is not found.
 
         The eigenvalue is the failure rate, outflow over mass; the mass of the density is 1. It is
-        found by inverse iteration from the weight.
+        found by inverse iteration from the weight, or by Arnoldi's method if other rates are close.
         """
         density = self.one
         for _ in range(MOST_ITERATIONS):
@@ -126,6 +135,17 @@ class Elements:
             density /= density @ self.load
             if np.max(np.abs(density - before)) <= CONVERGED * np.max(np.abs(density)):
                 break
+        else:
+            inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
+            options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
+            options["maxiter"] = MOST_ITERATIONS
+            try:
+                _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
+            except ArpackNoConvergence:
+                words = "rates lie too close together, as those of a weak spring do; use montecarlo"
+                raise NotCertified(f"the failure rate is not found: {words}") from None
+            density = np.real(y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0])
+            density /= density @ self.load
         # Refined: solutions of nearly singular equations have a residual.
         for _ in range(2):
             residual = self.K.T @ density - (density @ self.exit) * (self.M.T @ density)
@@ -284,7 +304,7 @@ def assemble_backward(mesh: Mesh, *, odd: bool = False) -> Elements:
     block = ((np.abs(s) * w * w * density * weight * hs[:, 0]) @ BB).reshape(-1, across, n, n)
     first = size * np.arange(panels + 1, dtype=np.int32)[:, None, None, None]
     index = [np.broadcast_to(first + at, block.shape) for at in (of_s[:, :, None], of_s[:, None])]
-    forwards, fluxes = np.arange(across) >= across // 2, []
+    forwards, fluxes = mesh.s[:-1] + mesh.s[1:] > 0.0, []
     for way in (forwards, ~forwards):
         entries, places = block[:, way].ravel(), [at[:, way].ravel() for at in index]
         fluxes.append(csr_array((entries, places), shape=2 * ((panels + 1) * size,)))
@@ -299,16 +319,18 @@ def assemble_backward(mesh: Mesh, *, odd: bool = False) -> Elements:
         (left.T @ fluxes[1][:-size, :-size], left - before),
     )
     K, M = pair.real + sum(flux @ jump for flux, jump in faces), pair.imag.copy()
-    # −L 1: the terms on panels vanish and those between panels cancel, which leaves the limit.
-    lost = sum(flux @ (jump @ np.ones(total)) for flux, jump in faces)
-    inner = np.ones((panels * n, size), dtype=bool)
-    if mesh.energy is not None:
-        inner[:, [0, -1]] = False
-        lost = -np.asarray(K @ (~inner.ravel()).astype(float))
-    free = np.flatnonzero(inner.ravel())
+    # −L 1: the terms on panels vanish and those between panels cancel, which leaves the edges.
+    edge = np.zeros((2, panels * n, size))
+    edge[0, :, 0] = edge[1, :, -1] = 1.0
+    through = [flux @ (jump @ np.ones(total)) for flux, jump in faces[::-1]]
+    through += [-np.asarray(K @ one.ravel()) for one in edge]
+    lost = sum(through)
+    cut = sum((flux for flux, out in zip(through, mesh.cut, strict=True) if out), 0.0 * lost)
+    free = np.flatnonzero(edge.sum(axis=0).ravel() == 0.0)
     load = np.asarray(M @ np.ones(total))[free]
     K, M = K[free][:, free], M[free][:, free]
     scale = 1.0 / np.sqrt(M.diagonal())
     for A in (K, M):
         A.data *= scale[A.indices] * np.repeat(scale, np.diff(A.indptr))
-    return Elements(mesh, K, M, load * scale, lost[free] * scale, 1.0 / scale, free)
+    lost, cut = lost[free] * scale, cut[free] * scale
+    return Elements(mesh, K, M, load * scale, lost, cut, 1.0 / scale, free)

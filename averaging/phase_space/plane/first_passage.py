@@ -1,15 +1,21 @@
 """First passage of one mass, on successive meshes until two of them agree."""
 
+from collections.abc import Callable
 from functools import partial
-from itertools import count
 from typing import Any
 
 import numpy as np
 
-from averaging.phase_space.plane.elements import Elements, assemble_backward
-from averaging.phase_space.plane.mesh import displacement_mesh, energy_mesh
+from averaging.phase_space.plane.elements import (
+    RELIABILITY_SHARE,
+    Elements,
+    assemble_backward,
+)
+from averaging.phase_space.plane.mesh import box_mesh, energy_mesh
 from averaging.phase_space.plane.oscillator import (
     FALL,
+    HIGHER,
+    Oscillator,
     States,
     averaged_fall,
     orbit,
@@ -19,13 +25,14 @@ from averaging.phase_space.plane.oscillator import (
 )
 from fpk.answer.certificate import DISTANCE_FACTOR, tolerance
 from fpk.answer.dynamics import Passage, certify_passage, require_times
+from fpk.answer.names import Limit
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import EPS, ROUND_OFF, ROUNDINGS, Array
 from fpk.numeric.errors import InvalidInput, NotCertified
 
 TOL, GLANCING_TOL = 1e-6, 1e-5
-"""Default tolerances: for a limit of the energy, and of the displacement, which takes longer."""
+"""Default tolerances: for a limit of the energy, and of q or v, which takes longer."""
 MOST_PASSAGE_UNKNOWNS = 110_000
 """Largest number of unknowns of a mesh, which takes a minute and a gigabyte; unknowns double from
 one level to the next and errors fall by factors of 15 to 1000."""
@@ -34,8 +41,9 @@ CHANCE_SHARE = 0.5
 two levels: one quantity may agree by chance."""
 Level = tuple[Array, Array, Array, float, dict[str, Any]]
 """Results on one mesh: (E T, E T², rate of failure, E T of each probe over E T of the start); P(T
-<= t) at the times; its change by the last Krylov vectors; the relative round-off of the first
-three; and named arguments for ``certify_passage``."""
+<= t) at the times; its change by the last Krylov vectors and by what leaves the mesh where there is
+no limit; the same relative to the first three, and round-off; and named arguments for
+``certify_passage``."""
 
 
 def phase_space_passage(asked: Asked) -> Passage:
@@ -51,48 +59,63 @@ def phase_space_passage(asked: Asked) -> Passage:
     limit, start = asked.limit, asked.start
     require_total("limit", limit, asked.system)
     require_start(start, asked.system)
-    most, of_energy = limit.value, limit.kind != "q"
-    on_orbit, q = start.kind in ("energy", "modal") and not start.rest, np.zeros(1)
-    if on_orbit:
+    of_energy = limit.of_energy
+    states: Callable[[int], States]
+    if start.kind in ("energy", "modal") and not start.rest:
         (energy,) = start.values.values()
+        states = partial(orbit, o, energy, None if of_energy else limit)
     else:
         q, p = start.state(1)
-        state = q, p / o.mass, np.ones(1)
-        energy = float(o.energy(*state[:2])[0])
-    if not (energy < (1.0 - ROUND_OFF) * most if of_energy else abs(float(q[0])) < most):
+        energy = float(o.energy(q, p / o.mass)[0])
+        past = not of_energy and limit.distance(q, p / o.mass) <= 0.0
+        states = lambda points: (q, p / o.mass, np.ones(0 if past else 1))  # noqa: E731
+    top = limit.value if of_energy else min(H for _, H in o.ends_of(limit))
+    if (of_energy and energy >= (1.0 - ROUND_OFF) * top) or not states(1)[2].size:
         raise InvalidInput("start", str(start), "is at or beyond the limit")
     tol = tolerance(asked.tol, TOL if of_energy else GLANCING_TOL)
-    top = most if of_energy else float(o.potential(np.array([-most, most])).min())
     psi = averaged_fall(o, max(top, energy))
     for what, height in (("limit", top), ("energy of the start", energy)):
         if (fall := psi(height)) > FALL:
             words = f"up to it the density falls by exp(−{fall:.0f})"
             raise NotCertified(f"the {what} is hardly ever passed: {words}; take a lower one")
-    # Probe states at half the energy of the limit, in eight directions.
-    left, right = (o.turning_point(0.25 * top, side) for side in (-1.0, 1.0))
-    angle = 0.25 * np.pi * np.arange(8)
-    q = np.where(np.cos(angle) > 0.0, right, -left) * np.cos(angle)
-    probes = q, np.sqrt(0.5 * top / o.mass) * np.sin(angle)
-    fastest = float(np.sqrt(2.0 * energy / o.mass))
+    inside = limit.bounds[0] < 0.0 < limit.bounds[1]
+    highest, level, escaping = max(top, energy), 0, RELIABILITY_SHARE * tol
+    probes = _probes(o, limit, top if of_energy or inside else energy)
     previous: Level | None = None
     answer: Passage | None = None
-    mesh_of = energy_mesh if of_energy else partial(displacement_mesh, fastest=fastest)
-    for level in count():
-        mesh = mesh_of(o, most, level=level)
+    while True:
+        own = o, limit, highest, level
+        mesh = energy_mesh(o, top, level) if of_energy else box_mesh(*own, rest=escaping)
         if mesh.unknowns > MOST_PASSAGE_UNKNOWNS:
             break
-        if on_orbit:
-            state = orbit(o, energy, None if of_energy else most, 4 * (mesh.degree + 1))
-        results = _level_results(assemble_backward(mesh), state, probes, times, tol)
+        e, begin = assemble_backward(mesh), states(4 * (mesh.degree + 1))
+        if not e.escape(e.at(*begin)) <= escaping:
+            highest *= HIGHER
+            continue
+        results = _level_results(e, begin, probes, times, tol)
         if previous is not None:
             answer = _compare_levels(previous, results, times, tol)
             if answer.certificate.certified:
                 break
         previous = results
         asked.progress(mesh.unknowns, MOST_PASSAGE_UNKNOWNS, "first passage")
+        level += 1
     if answer is None:
         raise NotCertified("the motion is too finely structured: light noise, or stiff stops")
     return answer
+
+
+def _probes(o: Oscillator, limit: Limit, height: float) -> tuple[Array, Array]:
+    """Return q and v (8,) half-way from the middle to the ends of motions of the energy ``height``
+    within the ``limit``."""
+    fastest = float(np.sqrt(2.0 * height / o.mass))
+    ends = np.array([[o.turning_point(height, side) for side in (-1.0, 1.0)], [-fastest, fastest]])
+    if not limit.of_energy:
+        row = "qv".index(limit.kind)
+        ends[row] = np.clip(ends[row], *limit.bounds)
+    angle = 0.25 * np.pi * np.arange(8)
+    q, v = ends.mean(axis=1)[:, None] + 0.25 * np.diff(ends) * [np.cos(angle), np.sin(angle)]
+    return q, v
 
 
 def _level_results(
@@ -120,8 +143,11 @@ def _level_results(
     }
     defect = np.max(np.abs(e.load - e.K @ e.mean)) / np.max(abs(e.K) @ np.abs(e.mean))
     stated = {"mass_defect": e.mass_defect(start), "residual": float(defect), "settings": settings}
-    numbers = np.array([mean, second, e.slowest()[0], *(np.array(others) / own)])
-    return numbers, failure, krylov, ROUNDINGS * EPS + (own / mean - 1.0) ** 2, stated
+    numbers = np.array([mean, second, e.slowest[0], *(np.array(others) / own)])
+    # What leaves the mesh elsewhere would fail later, after the time from there.
+    escape = e.escape(start)
+    rounding = ROUNDINGS * EPS + (own / mean - 1.0) ** 2 + escape * max(1.0, *numbers[3:])
+    return numbers, failure, krylov + escape, rounding, stated
 
 
 def _compare_levels(coarse: Level, fine: Level, times: Array, tol: float) -> Passage:

@@ -1,15 +1,16 @@
-"""Meshes of the states of one mass within a limit |q| < b or H < E."""
+"""Meshes of the states of one mass within a limit of q, v or H."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import asin, ceil, log, pi, sqrt
+from math import asin, ceil, inf, log, pi, sqrt
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from averaging.phase_space.plane.oscillator import Oscillator
-from fpk.numeric.arrays import EPS, SMALLEST, Array, Integers
+from fpk.answer.names import Limit
+from fpk.numeric.arrays import SMALLEST, Array, Integers
 
 GRADED = 1.1
 """Largest panel over its distance to a glancing point, where q scales as v³, or a turning point."""
@@ -34,9 +35,10 @@ LENGTH_SAMPLES = 401
 class Mesh:
     """Panels in x and s, nodes ``x`` and ``s``, q = q(x), v = s w(q); polynomials of ``degree``.
 
-    Within |q| < b (``energy`` None) q = x and w = 1. Within H < E = ``energy``, q is ``centre`` +
-    ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x >= 0 only,
-    the state (−q, −v) being represented by (q, v).
+    Within limits of q or v (``energy`` None) q = x and w = 1. Within H < E = ``energy``, q is
+    ``centre`` + ``radius`` sin x and w = √(2 (E − V)/m), so that the limit is s = ±1. ``folded``: x
+    >= 0 only, the state (−q, −v) being represented by (q, v). ``cut``: whether the left, right, low
+    and high edge are no limit.
     """
 
     oscillator: Oscillator
@@ -47,6 +49,7 @@ class Mesh:
     centre: float
     radius: float
     folded: bool
+    cut: tuple[bool, ...] = (False, False, False, False)
 
     @property
     def functions_of_s(self) -> int:
@@ -100,39 +103,55 @@ class Mesh:
         return np.arcsin(share), np.clip(s, -1.0, 1.0)
 
 
-def displacement_mesh(o: Oscillator, b: float, fastest: float, level: int) -> Mesh:
-    """Return the mesh of ``level`` within |q| < ``b``, for starts with speeds up to ``fastest``.
+def box_mesh(o: Oscillator, limit: Limit, top: float, level: int, *, rest: float) -> Mesh:
+    """Return the mesh of ``level`` within a ``limit`` of q or v, for starts of energies to ``top``.
 
-    It is graded towards the glancing points (±b, 0), next to which T rises as v^½ and (b − |q|)^⅙,
-    and ends at turning points.
+    ``top`` is the least energy at the limit or more. Where there is no limit, the mesh ends at a
+    speed, and at its turning points, where a Gaussian of the width of a kick by noise has fallen to
+    ``rest`` of its maximum. It is graded towards the glancing points (q, 0) of a limit of q, next
+    to which T rises as the root of v and the sixth root of the distance, and towards a limit of v,
+    where T is steep if the force turns v back.
     """
-    # Velocities end where a Gaussian of the width of a kick falls to ε: farther out pivots fail.
-    kick, step, ends = o.kick(b), PANEL * FINER**level * o.kick(b), np.array([-b, b])
-    height, beyond = o.potential(ends), (sqrt(-2.0 * log(EPS)) + 0.7 * level) * kick
-    swift = max(sqrt(2.0 * float(height.min()) / o.mass), fastest)
+    of_q, both = limit.kind == "q", len(limit.ends) == 2
+    radius = limit.value if of_q and both else inf
+    kick = o.kick(radius) if of_q or not both else min(o.kick(radius), limit.value)
+    step, beyond = PANEL * FINER**level * kick, (sqrt(-2.0 * log(rest)) + 0.7 * level) * kick
+    swift = sqrt(2.0 * top / o.mass)
     farthest = 0.5 * o.mass * (swift + beyond) ** 2
-    met = height <= farthest
-    for side in np.flatnonzero(~met):
-        ends[side] = o.turning_point(farthest, np.sign(ends[side]))
-    swift = max(sqrt(2.0 * float(height[met].max()) / o.mass), swift)
-    pull = np.abs(o.force(ends[met])) / o.mass
-    # Velocity below which noise exceeds the restoring force: the scale of the singularity.
+    met, highest = zip(*(end for end in o.ends_of(limit) if end[1] <= farthest), strict=True)
+    swift = max(sqrt(2.0 * max(highest) / o.mass), swift)
+    of_x, of_s = (met, ()) if of_q else ((), met)
+    sides = list(zip((-1.0, 1.0), limit.bounds, strict=True))
+    left, right = (end if end in of_x else o.turning_point(farthest, side) for side, end in sides)
+    low, high = (end if end in of_s else side * (swift + beyond) for side, end in sides)
+    cut = left not in of_x, right not in of_x, low not in of_s, high not in of_s
+    # Velocity below which noise exceeds the force: the scale of the singularity or steep layer.
+    q = np.array([met] if of_q else [[left], [0.0], [right]])
+    v = np.array([[0.0]] if of_q else [met])
+    pull = np.max(np.abs(o.force(q) + o.drag(q, v) * v), axis=0) / o.mass
     slow = np.minimum(2.0 * o.diffusion / np.maximum(pull, 2.0 * o.diffusion / kick), kick)
     least = LEAST * CLOSER**level * slow
+    smallest, steep = float(least.min()), of_s or (0.0,)
 
     def across(v: Array) -> Array:
-        longest = np.where(v < swift + 3.0 * kick, step, 2.0 * step)
-        return np.asarray(np.minimum(longest, GRADED * (v + float(least.min()))))
+        longest = np.where(np.abs(v) < swift + 3.0 * kick, step, 2.0 * step)
+        near = np.min([np.abs(v - at) for at in steep], axis=0)
+        return np.asarray(np.minimum(longest, GRADED * (near + smallest)))
 
     def along(q: Array) -> Array:
-        graded = np.min([GRADED * np.abs(q - at) for at in ends[met]], axis=0)
-        return np.asarray(np.minimum(_smooth_step(o, q, step, swift, level), graded))
+        graded = [GRADED * np.abs(q - at) for at in of_x]
+        return np.asarray(np.min([_smooth_step(o, q, step, swift, level), *graded], axis=0))
 
-    s = _nodes_at([0.0, swift + beyond], across, {0.0: float(least.min())})
-    closest = dict(zip(ends[met].tolist(), (least**3 / o.diffusion).tolist(), strict=True))
-    first, last = 0.0 if o.even else float(ends[0]), float(ends[1])
-    x = _nodes_at([first, *(q for q, _ in o.stops if first < q < last), last], along, closest)
-    return Mesh(o, x, np.concatenate([-s[:0:-1], s]), 5 + 2 * level, None, 0.0, b, o.even)
+    folded, closest = o.even and both, dict.fromkeys(steep, smallest)
+    if low == -high:
+        s = _nodes_at([0.0, high], across, closest)
+        s = np.concatenate([-s[:0:-1], s])
+    else:
+        s = _nodes_at([low, *([0.0] if low < 0.0 < high else []), high], across, closest)
+    first = 0.0 if folded else left
+    closest = dict(zip(of_x, (least**3 / o.diffusion).tolist(), strict=of_q))
+    x = _nodes_at([first, *(q for q, _ in o.stops if first < q < right), right], along, closest)
+    return Mesh(o, x, s, 5 + 2 * level, None, 0.0, radius, folded, cut)
 
 
 def energy_mesh(o: Oscillator, energy: float, level: int, panel: float | None = None) -> Mesh:
@@ -168,11 +187,13 @@ def energy_mesh(o: Oscillator, energy: float, level: int, panel: float | None = 
 def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int) -> Array:
     """Return the panel lengths at ``q`` (points,) where T is smooth.
 
-    Over such a length the velocity changes by ``step`` at the speed ``swift``. Beyond stops of a
+    Over such a length the velocity changes by ``step`` at the speed ``swift``, or at a higher speed
+    that reaches ``q``. Beyond stops of a
     fractional power lengths grow with the overlap from a smallest length, which halves with each
     ``level``.
     """
-    slope = np.maximum(np.abs(o.force(q)) / (o.mass * max(swift, step)), o.frequency)
+    speed = np.sqrt(np.maximum(max(swift, step) ** 2, 2.0 * o.potential(q) / o.mass))
+    slope = np.maximum(np.abs(o.force(q)) / (o.mass * speed), o.frequency)
     length = np.minimum(step / np.maximum(slope, SMALLEST), 0.5 * np.ptp(q))
     for at, side in o.stops:
         if side:

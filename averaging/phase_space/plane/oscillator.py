@@ -76,6 +76,12 @@ class Oscillator:
         """Return the energy H of displacements ``q`` and velocities ``v``."""
         return np.asarray(0.5 * self.mass * v * v + self.potential(q))
 
+    def ends_of(self, limit: Limit) -> list[tuple[float, float]]:
+        """Return the finite ends of a ``limit`` of q or v, and the least energy at each."""
+        states = [(x, 0.0) if limit.kind == "q" else (0.0, x) for x in limit.ends]
+        H = self.energy(*np.transpose(states))
+        return list(zip(limit.ends, H.tolist(), strict=True))
+
     def speed(self, q: Array, energy: float) -> Array:
         """Return |v| at ``q`` on the orbit of ``energy``, 0 beyond its turning points."""
         return np.sqrt(2.0 / self.mass * np.maximum(energy - self.potential(q), 0.0))
@@ -154,16 +160,22 @@ def require_total(what: str, given: Start | Limit, system: System) -> None:
         raise NotApplicable(f"{what} {given}: {words}")
 
 
-def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> States:
+def orbit(o: Oscillator, energy: float, within: Limit | None, points: int) -> States:
     """Return the states of an ``energy``, weighted by the time that the free motion spends in each.
 
-    Only states with |q| < ``within`` are returned (None: all); their weights add up to the share
-    of time there. Each piece between turning points, stops and limit has ``points`` Gauss points in
-    θ, q = centre + radius sin θ, in which dt = dq/|v| is smooth.
+    Only states ``within`` a limit of q or v are returned (None: all); their weights add up to the
+    share of time there. Each piece between turning points, stops and limit has ``points`` Gauss
+    points in θ, q = centre + radius sin θ, in which dt = dq/|v| is smooth.
     """
     left, right = (o.turning_point(energy, side) for side in (-1.0, 1.0))
     centre, radius = 0.5 * (left + right), 0.5 * (right - left)
-    cuts = [*(q for q, _ in o.stops), 0.0, *((-within, within) if within else ())]
+    cuts = [*(q for q, _ in o.stops), 0.0]
+    if within is not None:
+        for end, height in o.ends_of(within):
+            if within.kind == "q":
+                cuts.append(end)
+            elif height < energy:
+                cuts += [o.turning_point(energy - height, side) for side in (-1.0, 1.0)]
     angles = np.arcsin([(q - centre) / radius for q in cuts if left < q < right])
     # No piece begins right next to a turning point, where E − V has too few digits.
     edges = np.unique(np.concatenate([[-0.5 * np.pi, 0.5 * np.pi], angles]))
@@ -173,7 +185,9 @@ def orbit(o: Oscillator, energy: float, within: float | None, points: int) -> St
     weights = w * radius * np.cos(theta) / v
     weights = 0.5 * weights / weights.sum()
     q, v, weights = np.tile(q, 2), np.concatenate([v, -v]), np.tile(weights, 2)
-    inside = np.abs(q) < (within or np.inf)
+    if within is None:
+        return q, v, weights
+    inside = within.distance(q[:, None], v[:, None]) > 0.0
     return q[inside], v[inside], weights[inside]
 
 

@@ -139,7 +139,7 @@ def stationary_state(mesh: Mesh) -> PlaneState:
     It is the stationary density where the limit is so high that hardly any motion ever passes it.
     """
     e = assemble_backward(mesh)
-    rate, y = e.slowest()
+    rate, y = e.slowest
     residual = np.max(np.abs(e.K.T @ y - rate * (e.M.T @ y))) / np.max(abs(e.K).T @ np.abs(y))
     return state_of(e, y, residual=float(residual), outflow=rate)
 

@@ -73,7 +73,8 @@ class SquareRootForm:
         """
         w, unit, slope = weights[:, :, None], np.eye(self.slope.size), self.slope[:, None]
         beta = np.max(w * slope, axis=(1, 2))
-        return Diffusion(w**2 * slope * unit, w**3 * slope**2 * unit, beta)
+        forms = w**2 * slope * unit, w**3 * slope**2 * unit
+        return Diffusion(*forms, beta, np.zeros_like(beta))
 
 
 def square_root_form(process: Process) -> SquareRootForm:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from fpk.answer.names import Coordinate, Limit, Start
-from fpk.numeric.arrays import Array, Integers
+from fpk.numeric.arrays import SMALLEST, Array, Integers
 from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.compiled_laws import of_law
 from fpk.system.linear import natural_modes
@@ -37,8 +37,8 @@ SCORE_LEVELS = 2048
 1.01 to 1.05, and the list of records of a path stays short."""
 
 LimitArrays = tuple[Array, passing.Diffusion, Array, float, int]
-"""A limit on c energies, or on one displacement: its values (c,); the diffusion of the energies;
-for a displacement ``reach`` (n,), Σ reach_m √H_m = √(E_i/E_f) without contact, E_f, and its row."""
+"""A limit on energies, or of one mass: its ``values_at``; the diffusion; ``reach`` (n,), Σ reach_m
+√H_m = √(E_i/E_f) without contact, empty for energies; E_f, and the row of the mass."""
 
 ROWS, COLUMNS = 128, 256
 """Cells of the score table: over the root of the remaining time, over the share of the limit."""
@@ -125,17 +125,21 @@ def look(
     of an energy; and the share x = √(E/E_f). ``law``: contact energies for ``of_law``.
     """
     values, noise, reach, energy, mass = limit
-    if of_q:
+    q, v = s[watch.q + mass], 2.0 * step.half_inverse_mass[mass] * s[watch.p + mass]
+    if reach.size > 0:
         root, contact = 0.0, 0.0
-        q, v = s[watch.q + mass], 2.0 * step.half_inverse_mass[mass] * s[watch.p + mass]
         for m in range(reach.size):
             root += reach[m] * sqrt(s[watch.traced[m]])
         for stop in range(step.stop_slot.size):
             if step.slot_mass[step.stop_slot[stop]] == mass:
                 sign, clearance, B, e, kind = forces.numbers_of(step, stop)
                 contact += B * of_law(law, kind, forces.overlap_of(q, sign, clearance)[1], e)
-        share = sqrt(root * root + contact / energy)
-        seen[0, 0], seen[0, 1], seen[0, 2], seen[0, 3] = values[0] - abs(q), q, v, share
+        seen[:, 3] = sqrt(root * root + contact / energy)
+    if of_q:
+        seen[0, 0], seen[0, 1], seen[0, 2] = min(values[1] - q, q - values[0]), q, v
+    elif reach.size > 0:
+        for m in range(values.size):
+            seen[m, 0] = (values[m] - s[watch.p + mass]) / noise.of_momentum[m]
     else:
         for m in range(values.size):
             quadratic_form(seen[m, 1:2], s, watch.p, noise.variance[m], 1.0, 1)
@@ -165,8 +169,7 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
         ``tables``: of the score. States are recorded in the middle of the damping, before the kick.
         """
         n, h, s = step.matrix.shape[0] // 2, step.dt, np.zeros(watch.total)
-        values = limit[0]
-        c = values.size
+        c, ends = tables.shape[0], (limit[0][0], limit[0][-1])
         x, z, words = s[: 2 * n], np.zeros(2 * pairs, np.float32), np.zeros(1, np.uint64)
         seen, before = np.zeros((c, 4)), np.zeros((c, 4))
         for number in range(dead.size):
@@ -201,7 +204,7 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                         gone, a, b = seen[m, 0] <= 0.0, before[m], seen[m]
                         if done > begun and displacement:
                             cubic = passing.cubic_of(a[1], a[2], b[1], b[2], h)
-                            gone = passing.cubic_passage(cubic, values[m]) <= 1.0
+                            gone = passing.cubic_passage(cubic, *ends) <= 1.0
                         elif done > begun:  # of a Brownian bridge between both
                             nats, u = 2.0 * a[0] * b[0] / h, place + np.uint64(pairs + m) * GOLDEN
                             if a[0] <= 0.0:
@@ -256,7 +259,8 @@ class Replicas:
 
     For |q_i| < a the score is of E_i = ½ k A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m)/ω_m the largest
     |q_i| of free motion, k the static stiffness: E_i <= H, and E_i >= E_f = ½ k a² + U_i(a) at a.
-    |q_i| would be poor: the next peak is decided long before the path is there.
+    |q_i| would be poor: the next peak is decided long before the path is there. For v_i it is of
+    ½ m_i A² + U_i(q_i), A = Σ_m |T_im| √(2 H_m), E_f = ½ m_i a².
     """
 
     def __init__(
@@ -264,17 +268,20 @@ class Replicas:
     ) -> None:
         """Draw the starts and simulate all ``count`` paths."""
         system, limit, n = problem.system, problem.limit, problem.system.n
-        at, reach, energy, mass = limits.energies_at(system, limit), np.zeros(n), 1.0, 0
+        reach, energy, mass = np.zeros(0), 1.0, 0
+        if not limit.of_energy:
+            mass, (shapes, omega) = limit.row, natural_modes(system)
+            energy = max(float(np.min(limits.energies_at(system, limit))), sqrt(SMALLEST))
+            reach = np.abs(shapes[mass]) / np.sqrt(energy / system.mass[mass])
         if limit.kind == "q":
-            at, energy = np.array([limit.value]), float(np.min(at))
-            mass, (shapes, omega) = limit.observable(n)[0].row, natural_modes(system)
             reach = np.abs(shapes[mass]) / omega / np.sqrt(energy * system.compliance[mass, mass])
         scheme = SCHEMES["exact_flow"]
         step = step_arrays(system, scheme, problem.time / steps)
         energies = limits.energies_of(limit, n) or [Coordinate("H", m) for m in range(n)]
         key, watch = observation_arrays(system, scheme, step, (), (), energies)
         starts = initial_states(system, problem.start, int(stream.integers(2**63)), count)
-        numbers = at, passing.diffusion_of(system, limit), reach, energy, mass
+        noise = passing.diffusion_of(system, limit)
+        numbers = limits.values_at(system, limit), noise, reach, energy, mass
         self.model = step, watch, numbers, problem.tables, steps
         self.function, self.offset = path_function_for(key, limit.kind), stream_offset(seed)
         records = min(steps, SCORE_LEVELS) + 1

@@ -158,7 +158,7 @@ def system_problem(
     # Some states of a random start may lie beyond the limit.
     states = () if start.kind == "noise" else initial_states(system, start, 0, 64)
     if states and np.all(limits.states_beyond(system, limit, *states)):
-        raise InvalidInput("start", str(start), f"must lie below the limit {limit}")
+        raise InvalidInput("start", str(start), f"must lie within the limit {limit}")
     # The default score: the least action of each energy.
     tops = limits.energies_at(system, limit)
     if limit.kind == "modal":
@@ -178,6 +178,8 @@ def system_problem(
         scores = [score]
     energies = [lambda x, top=top: top * x**2 for top in tops]
     tables = kernel.score_tables(scores, energies, time)
+    if limit.kind == "v":
+        tables = np.repeat(tables, len(limit.ends), axis=0)
     reach = limits.motion_reach(system, limit, start, time)
     soon = min(reach.limit, reach.start) if start.kind == "state" else reach.limit
     longest = chosen_step(system, energy=reach.energy, kT=reach.kT)
@@ -201,7 +203,7 @@ def rare_failure(
 
     ``score`` None: minus the least action of the averaged linear system. Any score gives the same
     mean; a good score, such as ln P of an averaged equation, gives a smaller error. For a limit on
-    |q_i| its energies are potential energies of that displacement. ::
+    q_i or v_i its energies are those of that displacement or velocity. ::
 
         rare_failure(system, parse_limit("H=4", system.n), REST, 10.0)
 

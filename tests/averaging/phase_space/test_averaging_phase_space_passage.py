@@ -9,9 +9,10 @@ from asked import assert_agree, assert_refused, passage
 
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.plane.elements import assemble_backward
-from averaging.phase_space.plane.mesh import displacement_mesh, energy_mesh
+from averaging.phase_space.plane.mesh import box_mesh, energy_mesh
 from averaging.phase_space.plane.oscillator import Oscillator, oscillator_of
 from fpk import Contact, System
+from fpk.answer.names import parse_limit
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.solvers.square_root import SquareRoot
 from fpk.system.damping import DampingTerm
@@ -32,7 +33,7 @@ def test_free_particle_leaves_an_interval_after_the_exact_time(x=0.5):
     free = Oscillator(1.0, 0.0, 0.5, lambda q: 0.0 * q, lambda q: 0.0 * q)
 
     def mean(level):
-        e = assemble_backward(displacement_mesh(free, 1.0, 0.0, level))
+        e = assemble_backward(box_mesh(free, parse_limit("q1=1", 1), 0.0, level, rest=1e-16))
         return e.moments(e.at(np.array([x]), np.zeros(1), np.ones(1)))[0]
 
     coarse, fine = mean(0), mean(1)
@@ -126,9 +127,38 @@ def test_energy_start_is_the_mean_over_the_phase():
     assert answer.survival[0] == pytest.approx(1.0, abs=1e-12)
 
 
-def test_part_of_an_energy_start_may_be_beyond_a_displacement():
-    answer = ask(LINEAR, "q1=1", "H=1", [0.0], tol=1e-2)
-    assert answer.survival[0] == pytest.approx(0.5, abs=1e-10)  # |sin| < 1/√2 half of the time
+@pytest.mark.parametrize(
+    ("limit", "share"), [("q1=1", 0.5), ("v1=1", 0.5), ("q1>1", 0.75), ("v1<-1", 0.75)]
+)
+def test_part_of_an_energy_start_may_be_beyond_a_state(limit, share):
+    answer = ask(LINEAR, limit, "H=1", [0.0], tol=3e-2)
+    assert answer.survival[0] == pytest.approx(share, abs=1e-10)  # |sin| < 1/√2 half of the time
+
+
+def test_velocity_of_a_weak_spring_is_the_ornstein_uhlenbeck_process():
+    """Of |v| = 1 in units of its rms, T₀ = √(π/2) ∫ exp(v²/2) erf(v/√2) dv, and the failure rate is
+    2 of the decay, as He₂ = v² − 1 vanishes there; the spring alters both by O(k)."""
+    slope = lambda v: mp.exp(v * v / 2) * mp.erf(v / mp.sqrt(2))  # noqa: E731
+    exact = float(mp.sqrt(mp.pi / 2) * mp.quad(slope, [0, 1]))
+    answers = [ask(System([1.0], [k], [1.0], [1.0]), "v1=1", tol=1e-4) for k in (0.04, 0.02, 0.01)]
+    off = np.array([[a.mean.value / exact - 1.0, a.rate.value / 2.0 - 1.0] for a in answers])
+    assert off[:-1] / off[1:] == pytest.approx(2.0, rel=0.01)
+    assert np.all(np.abs(off[-1]) < 2e-4)
+
+
+def test_rare_sides_are_passed_independently_and_as_often_as_levels_are_crossed():
+    """At b = 5 rms with half of the critical damping crossings come alone: the failure rate of one
+    side tends to that of upcrossings, exp(−b²/2)/(2π) (Rice), by 1/b², and of both to twice it."""
+    both, right = (ask(System(*np.ones((4, 1))), f"q1{limit}", tol=1e-2) for limit in ("=5", ">5"))
+    assert both.rate.value / right.rate.value == pytest.approx(2.0, abs=1e-3)
+    assert 0.96 < right.rate.value * 2.0 * np.pi / np.exp(-12.5) < 1.0
+
+
+@pytest.mark.parametrize("limits", [("q1>0.6", "q1<-0.6"), ("v1>1", "v1<-1"), ("v1<-1", "v1>1")])
+def test_one_side_is_passed_as_its_mirror(limits):
+    sides = [replace(LINEAR, contacts=(Contact(1, x, 5.0, 0.4),)) for x in ("right", "left")]
+    one, other = (ask(*given, tol=1e-2) for given in zip(sides, limits, strict=True))
+    assert one.mean.value == pytest.approx(other.mean.value, rel=1e-10)
 
 
 def test_rare_failure_keeps_its_digits():
@@ -172,17 +202,19 @@ def test_damping_by_a_term_is_as_the_same_damping(limit):
 
 
 @pytest.mark.parametrize(
-    ("limit", "mean", "survival"),
+    ("limit", "tol", "mean", "survival"),
     [
-        ("q1=1.5", (3.64875, 0.00383), ([0.76113, 0.19765], [0.00083, 0.00088])),
-        ("H=3", (4.55704, 0.00529), ([0.91259, 0.31705], [0.00064, 0.00098])),
+        ("q1>1.5", 1e-2, (5.43100, 0.01086), ([0.87970, 0.48708], [0.00127, 0.00200])),
+        ("v1>2.2", 3e-2, (6.32340, 0.01398), ([0.95306, 0.59314], [0.00088, 0.00193])),
+        ("q1=1.5", 1e-3, (3.64875, 0.00383), ([0.76113, 0.19765], [0.00083, 0.00088])),
+        ("H=3", 1e-3, (4.55704, 0.00529), ([0.91259, 0.31705], [0.00064, 0.00098])),
     ],
 )
-def test_van_der_pol_passes_as_in_a_simulation(limit, mean, survival):
-    """262,144 paths by ``montecarlo`` with the seed 3, ± a standard error."""
+def test_van_der_pol_passes_as_in_a_simulation(limit, tol, mean, survival):
+    """262,144 paths by ``montecarlo`` with the seed 3, ± a standard error; of one side 65,536."""
     term = DampingTerm(1, 1, 1.0, q=((1, 2),))
     system = System([1.0], [1.0], [-1.0], [0.3], damping_terms=(term,))
-    answer = ask(system, limit, times=[2.0, 5.0], tol=1e-3)
+    answer = ask(system, limit, times=[2.0, 5.0], tol=tol)
     assert answer.certificate.certified, answer.certificate.failures
     assert abs(answer.mean.value - mean[0]) <= 4.0 * mean[1] + answer.mean.error
     known, error = np.array(survival)
@@ -204,6 +236,10 @@ WAITING = Modulation(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
         (HERTZ, "H=1", "noise=0.5", NotApplicable, "stationary"),
         (HERTZ, "H=1", "H=1", InvalidInput, "beyond the limit"),
         (HERTZ, "q1=1", "q1=-1", InvalidInput, "beyond the limit"),
+        (HERTZ, "q1>-0.1", "rest", InvalidInput, "beyond the limit"),
+        (HERTZ, "q1<2", "H=0.5", InvalidInput, "beyond the limit"),
+        (HERTZ, "v1>1", "p1=1", InvalidInput, "beyond the limit"),
+        (System([1.0], [0.04], [1.0], [1.0]), "v1>1", "rest", NotCertified, "use montecarlo"),
         (HERTZ, "H=40", "rest", NotCertified, "hardly ever"),
         (HERTZ, "q1=1", "p1=9", NotCertified, "energy of the start is hardly ever"),
     ],

@@ -127,6 +127,17 @@ def test_an_energy_without_noise_passes_where_it_is_driven_and_only_there() -> N
     assert alike(passed(system, "H1=0.4,H2=1e-6").mean, passed(system, "H1=0.4", seed=2).mean)
 
 
+@pytest.mark.parametrize(
+    ("limit", "start", "right"), [("v1>1", "rest", 2.0934067), ("v1<-0.5", "p1=1", 1.6860715)]
+)
+def test_velocity_is_seen_between_steps(limit: str, start: str, right: float) -> None:
+    """√(π/2) ∫ exp(v²/2) erfc(−v/√2) dv is the mean time of the Ornstein-Uhlenbeck process; the
+    spring alters it by about 1e-6. Looks at steps alone are late by a tenth of that."""
+    ou = System([1.0], [1e-6], [1.0], [1.0])
+    mean = passed(ou, limit, start, paths=8192).mean
+    assert abs(mean.value - right) < 4.0 * mean.error < 0.1 * right
+
+
 def test_damping_that_depends_on_the_state_is_stepped() -> None:
     # A limit beyond the cycle at H = 2 is passed by noise, one below it by the growth.
     system = limit_cycle()

@@ -129,9 +129,18 @@ def test_scores_of_twenty_answers_are_uniform(limit):
     assert z.mean() > 5.0 * z.std() / np.sqrt(20.0)
 
 
+@pytest.mark.parametrize(("limit", "right"), [("q1>3.2", 2.6634949e-5), ("v1=3.4", 2.6458363e-5)])
+def test_rare_sides_and_velocities_are_passed_as_by_the_equation(limit, right):
+    """P by t = 30, at a failure rate of 5e-6, by ``phase-space`` to 1e-4 of itself; four errors."""
+    settings = replace(QUICK, replicas=128, killed=16)
+    asked = oscillator(0.1), parse_limit(limit, 1), REST, 30.0
+    found = rare_failure(*asked, settings=settings)
+    assert abs(found.probability - right) < 4.0 * found.sampling_error < 0.8 * right
+
+
 @njit
 def called_cubic(q0, v0, q1, v1, h, limit):
-    return cubic_passage(cubic_of(q0, v0, q1, v1, h), limit)
+    return cubic_passage(cubic_of(q0, v0, q1, v1, h), -limit, limit)
 
 
 def test_largest_values_between_steps():
