@@ -177,7 +177,7 @@ CONSTANTS = {
         f"less than {refinement.LEAST_RATIO} of the one before",
         f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
         f"less than {refinement.LIGHT_RATIO} of the one before",
-        f"{refinement.LEAST_RATIO} of the largest",
+        f"{refinement.LEAST_SHARE} of the largest",
         f"from {resolvent.BLOCK} random vectors",
         f"Energies rise until it is below {elements.RELIABILITY_SHARE:g} of the tolerance",
         f"{first_passage.DISTANCE_FACTOR:g} times the distance of the last two,"
