@@ -177,7 +177,9 @@ class PhaseSpace(Theory):
         """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
         frame = self._frame(asked.system)
         levels = partial(dynamics.about_levels, frame=frame, row=asked.row, at=asked.at)
-        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels)
+        # The stationary solution is all that it takes.
+        numbers = np.float32
+        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels, numbers=numbers)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:
