@@ -175,7 +175,7 @@ def test_what_is_far_from_one_gaussian_agrees_with_another_simulation(
     system, name, values, standard_errors
 ):
     """Simulated outside of this program: p at 0 and 0.3, and standard errors."""
-    (answer,) = PhaseSpace(tol=5e-3).solve(system, [parse_observable(name, 2)]).densities
+    (answer,) = PhaseSpace(tol=1e-2).solve(system, [parse_observable(name, 2)]).densities
     assert answer.certificate.certified
     at = np.array([0.0, 0.3])
     apart = np.abs(answer.pdf(at) - values)
