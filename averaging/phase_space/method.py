@@ -46,7 +46,7 @@ UNASKED_MASSES = 2
 """Largest number of masses for which the method is used without being named: three take minutes."""
 UNASKED_WORK = 6.6e11
 """Largest number of operations (``solution_cost``) of a solution without being named: with the
-coarser solutions about 12 s on one core."""
+coarser solutions about half a minute on one core."""
 CROSSINGS_TOL, SPECTRUM_TOL, CORRELATION_TOL, RELAXATION_TOL = 1e-3, 1e-2, 1e-2, 5e-2
 """Default tolerances, relative to ``Question.scale``, of rates to each rate; spectra and rates
 converge most slowly."""
@@ -68,8 +68,8 @@ class PhaseSpace(Theory):
     the certificate then says.
     ``accepted`` is the largest error that is certified in that case, and ``NotCertified`` is raised
     for a larger error; None: ``tol``, and the certificate of a larger error fails. ``memory``
-    limits one solution, in GB, ``work`` its operations, None: in proportion to the memory, a minute
-    on two cores for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
+    limits one solution, in GB, ``work`` its operations, None: by the memory, about five minutes on
+    a core for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
     use these, the threads wait for each other and take ten times as long. ``reference`` is the
     state that the expansion starts from, for tests; None: ``gibbs_reference``. ::
 
@@ -134,8 +134,9 @@ class PhaseSpace(Theory):
         of: Callable[..., Ladder]
         frame = self._frame(system)
         if system.n == 1:
-            require_broad(oscillator_of(system))
-            ladders, of = partial(plane_ladder, oscillator_of(system)), plane_ladder_of
+            oscillator = oscillator_of(system)
+            require_broad(oscillator)
+            ladders, of = partial(plane_ladder, oscillator), plane_ladder_of
         else:
             ladders, of = partial(solution_ladder, frame), ladder_of
 
@@ -177,9 +178,8 @@ class PhaseSpace(Theory):
         """Return the upcrossings per unit time of levels by q, from the joint density of (q, p)."""
         frame = self._frame(asked.system)
         levels = partial(dynamics.about_levels, frame=frame, row=asked.row, at=asked.at)
-        # The stationary solution is all that it takes.
-        numbers = np.float32
-        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels, numbers=numbers)
+        single = np.float32  # of the stationary solution, without a further elimination
+        return self._curve(asked, "crossings", CROSSINGS_TOL, apart=levels, numbers=single)
 
     @answer
     def spectrum(self, asked: Asked) -> Curve:

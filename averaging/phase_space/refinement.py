@@ -34,7 +34,8 @@ times the estimate."""
 LEAST_RATIO, LEAST_SHARE = 0.25, 0.1
 """Smallest credible ratios of a distance of two solutions, to the distance of the two solutions
 before it, and to the largest distance of the densities of single coordinates: smaller is by chance.
-With them stated errors of random systems of two masses were at the median 11 times too large."""
+With them the largest true error of densities of 54 random systems of two masses was 0.58 of the
+stated error, the median 0.06."""
 LIGHT_DAMPING, LIGHT_RATIO = 0.01, 0.6
 """Damping ratio of a mode below which the second value replaces ``LEAST_RATIO``: with ratios of
 0.0007 to 0.005 the largest of 148 true errors was 1.7 times the estimate by ``LEAST_RATIO``, with
@@ -49,7 +50,7 @@ to 2e-4 only."""
 SOLUTION_MEMORY = 4.0
 """Default limit of the memory of one solution, in GB (1e9 bytes)."""
 SOLUTION_WORK = 1.2e13
-"""Limit of the operations of one solution with ``SOLUTION_MEMORY``: about a minute on two cores."""
+"""Limit of the operations of one solution with ``SOLUTION_MEMORY``: five minutes on one core."""
 REFITS, REFITTED = 8, 0.02
 """Largest number of times that the moments of a solution replace those of the reference, and the
 relative change of a covariance at which this ends."""
@@ -238,13 +239,12 @@ def fit_reference(frame: Frame, about: Reference) -> Reference:
     for _ in range(REFITS):
         e = expand(frame, about, first_degrees(frame))
         mean, covariance = moments(e)
-        before = about
+        before, scale = about, np.sqrt(np.diag(about.covariance))
         about = with_moments(frame, mean * (not e.basis.mirrored), covariance)
-        change = np.abs(about.covariance - before.covariance).max()
+        change = np.max(np.abs(about.covariance - before.covariance) / np.outer(scale, scale))
         # The Gibbs state is the solution if damping and noise are proportional.
-        if change <= DENSITY_ROUND_OFF * before.covariance.max():
+        if change <= DENSITY_ROUND_OFF:
             return before
-        scale = np.sqrt(np.diag(before.covariance))
-        if np.max(np.abs(about.covariance - before.covariance) / np.outer(scale, scale)) < REFITTED:
+        if change < REFITTED:
             break
     return about

@@ -75,7 +75,8 @@ class Degrees:
 
 def first_degrees(frame: Frame) -> Degrees:
     """Return the degrees of the first solution."""
-    return degrees_to(frame, 13 if frame.n == 2 else 11, 13)
+    total = 13 if frame.n == 2 else 11
+    return degrees_to(frame, total, total)
 
 
 def degrees_to(frame: Frame, total: int, others: int) -> Degrees:

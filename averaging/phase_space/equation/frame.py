@@ -15,7 +15,8 @@ POWER = 0.75
 for moments of low degree close, but for masses of unequal temperatures functions of high degree
 grow without bound; with 1/2 no function can grow, but moments converge more slowly."""
 LEAST_STIFFNESS = 0.25
-"""Smallest stiffness w₂ S₁₁ of the weight of y over the stiffness with all other masses free."""
+"""Smallest stiffness w₂ S₁₁ of the weight of y over the stiffness with all other masses free. With
+0.05 a noiseless mass before a stiff stop was no nearer, and single precision did not suffice."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,10 +124,9 @@ class Elements:
     def slowest(self) -> tuple[float, Array]:
         """The least eigenvalue of −L and the coefficients (unknowns,) of its density.
 
-        Raises ``NotCertified`` where further eigenvalues are so close that it is not found.
-
         The eigenvalue is the failure rate, outflow over mass; the mass of the density is 1. It is
         found by inverse iteration from the weight, or by Arnoldi's method if other rates are close.
+        Raises ``NotCertified`` where they are so close that it is not found.
         """
         density = self.one
         for _ in range(MOST_ITERATIONS):

@@ -89,10 +89,11 @@ def phase_space_passage(asked: Asked) -> Passage:
         if mesh.unknowns > MOST_PASSAGE_UNKNOWNS:
             break
         e, begin = assemble_backward(mesh), states(4 * (mesh.degree + 1))
-        if not e.escape(e.at(*begin)) <= escaping:
+        escape = 0.0 if of_energy else e.escape(e.at(*begin))
+        if not escape <= escaping:
             highest *= HIGHER
             continue
-        results = _level_results(e, begin, probes, times, tol)
+        results = _level_results(e, begin, probes, times, tol, escape)
         if previous is not None:
             answer = _compare_levels(previous, results, times, tol)
             if answer.certificate.certified:
@@ -119,12 +120,17 @@ def _probes(o: Oscillator, limit: Limit, height: float) -> tuple[Array, Array]:
 
 
 def _level_results(
-    e: Elements, states: States, probes: tuple[Array, Array], times: Array, tol: float
+    e: Elements,
+    states: States,
+    probes: tuple[Array, Array],
+    times: Array,
+    tol: float,
+    escape: float,
 ) -> Level:
     """Return the results on the mesh of ``e`` for a start in the weighted ``states``.
 
     ``probes`` are (q, v) of further states, whose mean times are compared. Krylov spaces serve the
-    tolerance ``tol`` at ``times``.
+    tolerance ``tol`` at ``times``. ``escape``: see ``Elements.escape``.
     """
     start, later = e.at(*states), times > 0.0
     mean, second, lost = e.moments(start)
@@ -145,7 +151,6 @@ def _level_results(
     stated = {"mass_defect": e.mass_defect(start), "residual": float(defect), "settings": settings}
     numbers = np.array([mean, second, e.slowest[0], *(np.array(others) / own)])
     # What leaves the mesh elsewhere would fail later, after the time from there.
-    escape = e.escape(start)
     rounding = ROUNDINGS * EPS + (own / mean - 1.0) ** 2 + escape * max(1.0, *numbers[3:])
     return numbers, failure, krylov + escape, rounding, stated
 

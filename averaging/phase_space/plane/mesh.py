@@ -188,9 +188,8 @@ def _smooth_step(o: Oscillator, q: Array, step: float, swift: float, level: int)
     """Return the panel lengths at ``q`` (points,) where T is smooth.
 
     Over such a length the velocity changes by ``step`` at the speed ``swift``, or at a higher speed
-    that reaches ``q``. Beyond stops of a
-    fractional power lengths grow with the overlap from a smallest length, which halves with each
-    ``level``.
+    that reaches ``q``. Beyond stops of a fractional power lengths grow with the overlap from a
+    smallest length, which halves with each ``level``.
     """
     speed = np.sqrt(np.maximum(max(swift, step) ** 2, 2.0 * o.potential(q) / o.mass))
     slope = np.maximum(np.abs(o.force(q)) / (o.mass * speed), o.frequency)

@@ -9,7 +9,7 @@ from itertools import islice, product
 import numpy as np
 import pytest
 from systems import both, fig6
-from test_averaging_phase_space import common, drawn, stop
+from test_averaging_phase_space import ONE_NOISE, common, drawn, stop
 
 import fpk
 from averaging.phase_space import refinement
@@ -111,12 +111,7 @@ def test_an_earlier_density_is_kept_unless_a_later_one_contradicts_it():
 
 @pytest.mark.parametrize("factor", [0.3, 3.0])
 def test_the_reference_does_not_depend_on_the_one_it_begins_with(factor):
-    # Noise on the first mass only, a stop on the second: from temperatures ten apart.
-    system = fpk.System(
-        [1.0, 0.8], [1.5, 0.6], [0.08, 0.12], [0.15, 0.0],
-        contacts=stop(2, "right", 6.0, 0.25, law="bilinear"),
-    )  # fmt: skip
-    frame = contact_frame(system)
+    frame = contact_frame(ONE_NOISE)
     found = refinement.fit_reference(frame, gibbs_reference(frame))
     start = gibbs_reference(frame)
     start = make_reference(frame, start.slope, start.offset, factor * start.covariance)
