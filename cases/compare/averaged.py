@@ -7,7 +7,7 @@ without using them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil, inf, isfinite
+from math import ceil, isfinite
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +19,6 @@ from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_na
 from fpk.answer.question import Asked, answer
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.numeric.machine import usable_cores
 from fpk.system.escape import require_held
 from fpk.system.linear import modal_energies
 from fpk.system.process import Process
@@ -35,10 +34,6 @@ STATIONARY = 0.25
 """Step of stationary densities in units of ``step``: no second step measures their bias.
 On vanderpol the standard deviation of H was off by 5 standard errors at a step of 0.1, by less than
 half a standard error at 0.025."""
-
-PER_PATH, MOST_PATHS = 1.1, 1 << 22
-"""Standard deviation over mean of a first-passage time (1 for an exponential law), which sets the
-number of paths for a relative error; largest number of paths."""
 
 
 @dataclass(frozen=True)
@@ -100,21 +95,9 @@ class AveragedSimulation(Method):
         from sim.questions.averaged.paths import energy_passage
 
         require_times(asked.times)
-        system, wanted = asked.system, self.tol if asked.tol is None else asked.tol
-        form = self._form(self._process(system))
-        scales = form.scales / form.noise
-        paths = self.paths if wanted is None else max(self.paths, ceil((PER_PATH / wanted) ** 2))
-        return energy_passage(
-            form,
-            self.limits(form, asked.limit),
-            self._starts(system, asked.start),
-            asked,
-            dt=self.step * float(scales.min()),
-            memory=2.0 * float(scales.max()),
-            paths=min(paths, MOST_PATHS),
-            **self._sampling(),
-            tol=wanted,
-        )
+        form = self._form(self._process(asked.system))
+        starts = self._starts(asked.system, asked.start)
+        return energy_passage(self, form, self.limits(form, asked.limit), starts, asked)
 
     @answer
     def transient(self, asked: Asked) -> Transient:
@@ -125,21 +108,12 @@ class AveragedSimulation(Method):
         """
         from sim.questions.averaged.paths import energy_transient
 
-        system = asked.system
-        require_held(system)
+        require_held(asked.system)
         require_times(asked.times)
         if reason := self._unknown(asked.observable):
             raise NotApplicable(reason)
-        form = self._form(self._process(system))
-        return energy_transient(
-            form,
-            self._starts(system, asked.start),
-            asked,
-            dt=self.step * float((form.scales / form.noise).min()),
-            paths=self.paths,
-            **self._sampling(),
-            tol=self.tol if asked.tol is None else asked.tol,
-        )
+        form = self._form(self._process(asked.system))
+        return energy_transient(self, form, self._starts(asked.system, asked.start), asked)
 
     def _process(self, system: System) -> Process:
         """Return the averaged process, or raise ``NotApplicable`` if the theory does not apply."""
@@ -191,9 +165,8 @@ class AveragedSimulation(Method):
             louder = replace(system, noise_intensity=factor * system.noise_intensity)
             form = self._form(self._process(louder))
             slowest, steps = self._steps(form)
-            dt, threads = 0.5 * slowest / steps, self.threads or usable_cores()
-            many = ceil(2.0 * BURN_IN) * steps
-            return partial(burnt_in, form, dt=dt, steps=many, threads=threads)
+            dt, many = 0.5 * slowest / steps, ceil(2.0 * BURN_IN) * steps
+            return partial(burnt_in, form, dt=dt, steps=many, threads=self.threads)
         if start.kind == "energy" and not line:
 
             def spread(paths: int, stream: np.random.Generator) -> Array:
@@ -220,11 +193,6 @@ class AveragedSimulation(Method):
         slowest, longest = float(times.max()), STATIONARY * self.step * float(times.min())
         return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
 
-    def _sampling(self) -> dict[str, Any]:
-        """Return the arguments ``seed``, ``threads`` and ``seconds`` of every simulation."""
-        threads = self.threads or usable_cores()
-        return {"seed": self.seed, "threads": threads, "seconds": self.seconds}
-
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None if they do."""
         name = observable_name(observable)
@@ -246,15 +214,13 @@ class AveragedSimulation(Method):
         interval = 0.5 * slowest
         too_long = f"the bias of step = {self.step:g} is not known; use {STEP:g}"
         densities = simulate_energies(
+            self,
             form,
             observables,
             interval=interval,
             steps=steps,
             time=SAMPLED * slowest,
             burn_in=BURN_IN * slowest,
-            paths=self.paths,
-            **self._sampling(),
-            tol=inf if self.tol is None else self.tol,
             failures=() if form.damping is None or self.step <= STEP else (too_long,),
             progress=progress,
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.random import Generator
 
 from fpk.answer.bins import BinAxis
+from fpk.answer.certificate import tolerance
 from fpk.answer.dynamics import Passage, Transient
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Coordinate, Observable
@@ -18,6 +19,7 @@ from fpk.answer.question import Asked
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
 from fpk.numeric.errors import InvalidInput
+from fpk.numeric.machine import usable_cores
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
 from sim.questions.limits import CHUNK_STEPS, first_step
@@ -37,6 +39,10 @@ Starts = Callable[[int, Generator], Array]
 
 GROUP = 4
 """Number of blocks of ``LANES`` paths that share a random stream and make one task of a thread."""
+
+PER_PATH, MOST_PATHS = 1.1, 1 << 22
+"""Standard deviation over mean of a first-passage time (1 for an exponential law), which sets the
+number of paths for a relative error; largest number of paths."""
 
 MOST_DRAWS = 3e7
 """Largest number of random numbers of a passage without a wall time: about 20 s on one core."""
@@ -101,6 +107,7 @@ class EnergyEnsemble:
 
 
 def simulate_energies(
+    method: Any,
     form: SquareRootForm,
     observables: Sequence[Observable],
     *,
@@ -108,31 +115,28 @@ def simulate_energies(
     steps: int,
     time: float,
     burn_in: float,
-    paths: int = 16384,
-    seed: int = 1,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float = inf,
     failures: Sequence[str] = (),
     progress: Progress = silent,
 ) -> tuple[SampledDensity, ...]:
     """Return a sampled density for each of ``observables``: H_i, pairs of them, or H = Σ H_i.
 
-    ``paths`` are sampled every ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``,
-    whose last states give the ranges of the histograms, or at most for ``seconds`` of wall time,
-    burn-in included: if they end in the burn-in, one sample is taken and nothing is certified.
-    ``tol``, tolerance of the expected L1 error, decides on certification only; ``failures`` are
-    words against it. ``threads`` do not change the numbers of a ``seed``. Raises ``InvalidInput``
-    if ``paths`` is no multiple of ``MAX_BATCHES``, or less than four times as large.
+    ``method``, here and below, is an ``AveragedSimulation``. Its ``paths`` are sampled every
+    ``interval``, in ``steps`` steps, for ``time`` after ``burn_in``, whose last states give the
+    ranges of the histograms, or at most for its ``seconds`` of wall time, burn-in included: if they
+    end in the burn-in, one sample is taken and nothing is certified. Its ``tol``, tolerance of the
+    expected L1 error, decides on certification only; ``failures`` are words against it. Its
+    ``threads`` do not change the numbers of a ``seed``. Raises ``InvalidInput`` if ``paths`` is no
+    multiple of ``MAX_BATCHES``, or less than four times as large.
     """
+    paths, seconds, tol = method.paths, method.seconds, inf if method.tol is None else method.tol
     if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
         many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
         raise InvalidInput("paths", paths, many)
-    stream = stream_of(seed, 0, of_starts=True)
+    stream = stream_of(method.seed, 0, of_starts=True)
     start = stream.exponential(form.scales, (paths, form.scales.size))
     watch, samples, taken = Watch(seconds or inf, lambda: False), max(1, round(time / interval)), 0
-    with workers_of(None, threads) as workers:
-        ensemble = EnergyEnsemble(form, start, interval / steps, seed, 0, workers)
+    with workers_of(None, method.threads or usable_cores()) as workers:
+        ensemble = EnergyEnsemble(form, start, interval / steps, method.seed, 0, workers)
         for _ in range(ceil(burn_in / interval)):
             if not watch.ends():
                 ensemble.advance(steps)
@@ -155,14 +159,14 @@ def simulate_energies(
 
 
 def burnt_in(
-    form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int
+    form: SquareRootForm, paths: int, stream: Generator, dt: float, steps: int, threads: int | None
 ) -> Array:
     """Return the energies (``paths``, d) after ``steps`` of ``dt`` from exponential X.
 
-    ``stream`` draws X and the seed of the steps, made by so many ``threads``.
+    ``stream`` draws X and the seed of the steps, made by so many ``threads``, None: all cores.
     """
     start, seed = stream.exponential(form.scales, (paths, form.scales.size)), stream.integers(2**63)
-    with workers_of(None, threads) as workers:
+    with workers_of(None, threads or usable_cores()) as workers:
         ensemble = EnergyEnsemble(form, start, dt, int(seed), 0, workers)
         ensemble.advance(steps)
     return form.energies(ensemble.X)
@@ -189,27 +193,21 @@ def energy_columns(observable: Observable, H: Array) -> list[Array]:
 
 
 def energy_passage(
-    form: SquareRootForm,
-    limits: tuple[Array, Array],
-    starts: Starts,
-    asked: Asked,
-    *,
-    dt: float,
-    memory: float,
-    paths: int,
-    seed: int,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float | None = None,
+    method: Any, form: SquareRootForm, limits: tuple[Array, Array], starts: Starts, asked: Asked
 ) -> Passage:
-    """Return the first passage of any of ``limits`` in steps of dt/2, and of ``dt`` for comparison.
+    """Return the first passage of any of ``limits`` in steps of dt/2, and of dt for comparison.
 
     Limits: weights (limits, d) · X reach values (limits,). Exact steps (``form.damping`` None) are
-    made once and read at both steps; else each step has its own paths. ``dt`` is shortened if the
-    noise fills a limit soon. ``paths`` are simulated for ``MOST_DRAWS`` or ``seconds``; ``tol``,
-    the relative error of the mean, decides on certification only. ``memory``: see ``passage_of``.
+    made once and read at both steps; else each step has its own paths. dt, ``step`` times the
+    fastest relaxation time, is shortened if the noise fills a limit soon. Paths are simulated for
+    ``MOST_DRAWS`` or ``seconds``, more of them for ``tol``, the relative error of the mean, which
+    otherwise decides on certification only.
     """
-    exact, modulation = form.damping is None, asked.system.modulation
+    exact, modulation, seed = form.damping is None, asked.system.modulation, method.seed
+    times, seconds = form.scales / form.noise, method.seconds
+    tol, dt = tolerance(asked.tol, method.tol), method.step * float(times.min())
+    paths = method.paths if tol is None else max(method.paths, ceil((PER_PATH / tol) ** 2))
+    paths = min(paths, MOST_PATHS)
     own = min(-(-paths // LANES) * LANES, MOST_SUMS // CHUNK_STEPS)
     (weights, values), d = limits, form.noise.size
     # From rest the mean of Σ w X with the largest noise reaches the limit L at the time L/(w · d).
@@ -242,30 +240,25 @@ def energy_passage(
             runs.append((motion, many, reader, which))
         return runs, past, stream.exponential(size=(own, values.size))  # see ``pass_energies``
 
-    with workers_of(None, threads) as workers:
+    with workers_of(None, method.threads or usable_cores()) as workers:
         watch, steps = Watch(seconds or inf, lambda: False, tol), (first, dt, 1, longest, longest)
-        settings = {"steps": form.steps, "seed": seed}
+        memory, settings = 2.0 * float(times.max()), {"steps": form.steps, "seed": seed}
         return passage_in_rounds(asked, watch, (rounds, rounds), begun, steps, memory, settings)
 
 
-def energy_transient(
-    form: SquareRootForm,
-    starts: Starts,
-    asked: Asked,
-    *,
-    dt: float,
-    paths: int,
-    seed: int,
-    threads: int = 1,
-    seconds: float | None = None,
-    tol: float | None = None,
-) -> Transient:
+def energy_transient(method: Any, form: SquareRootForm, starts: Starts, asked: Asked) -> Transient:
     """Return the densities of energies ``asked.observable`` at ``asked.times``, certified.
 
-    Exact steps (``form.damping`` None) lead from time to time; else steps ``dt`` and dt/2 have
-    their own paths. Two rounds of ``paths`` are made; with ``tol`` one, and more until the expected
-    L1 error is below it at all times, or ``seconds`` of wall time have passed.
+    Exact steps (``form.damping`` None) lead from time to time; else steps dt, ``step`` times the
+    fastest relaxation time, and dt/2 have their own paths. Two rounds of ``paths`` are made; with
+    ``tol`` one, and more until the expected L1 error is below it at all times, or ``seconds`` of
+    wall time have passed.
     """
+    paths, seed, dt = (
+        method.paths,
+        method.seed,
+        method.step * float(np.min(form.scales / form.noise)),
+    )
     longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
 
     def seen(ensemble: EnergyEnsemble) -> list[Array]:
@@ -281,9 +274,10 @@ def energy_transient(
         start = energy_columns(asked.observable, form.energies(X))
         return motions(begun, start, seen, asked.times, longest, many, begin)
 
-    with workers_of(None, threads) as workers:
+    with workers_of(None, method.threads or usable_cores()) as workers:
         # Without a tolerance, two rounds whatever the time: no error is above inf.
-        watch = Watch(seconds or inf, lambda: False, inf if tol is None else tol)
+        tol = tolerance(asked.tol, inf if method.tol is None else method.tol)
+        watch = Watch(method.seconds or inf, lambda: False, tol)
         settings = {"seed": seed, "steps": form.steps}
         axis, rounds = partial(energy_axis, form), (2, max(1, MAX_TRAJECTORIES // paths))
         return transient_in_rounds(asked, watch, states, axis, rounds, dt, settings)
