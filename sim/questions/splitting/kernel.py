@@ -93,7 +93,6 @@ class Paths(NamedTuple):
     level: Integers  # (replicas, records), ascending
     step: Integers  # (replicas, records), steps from the start to the record
     best: Integers  # (replicas,), largest level; SCORE_LEVELS is failure
-    moved: Integers  # (replicas,), steps that were computed
 
 
 @njit_inline
@@ -236,7 +235,6 @@ def path_function_for(key: KernelKey, kind: str) -> Any:
                 map_state(s, z, step.matrix, pairs, 1)
                 done += 1
             paths.best[i] = top
-            paths.moved[i] += done - begun
 
     return renew
 
@@ -289,8 +287,8 @@ class Replicas:
         state[:, 0] = np.hstack(starts)
         level, taken = (np.empty((count, records), dtype=np.int64) for _ in range(2))
         level[:, 0] = taken[:, 0] = 0
-        self.best, moved = np.zeros((2, count), dtype=np.int64)
-        self.paths = Paths(state, level, taken, self.best, moved)
+        self.best = np.zeros(count, dtype=np.int64)
+        self.paths = Paths(state, level, taken, self.best)
         self.streams, every = 0, np.arange(count)
         self.renew(every, every, -1)
 

@@ -8,11 +8,9 @@ score exceeds Z, and continued with new noise. For a Markov chain in discrete ti
 mean of the estimate is exactly P.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,8 +27,8 @@ from sim.questions.passage import most_events
 from sim.questions.rounds import Watch, initial_states
 from sim.questions.splitting import kernel
 from sim.questions.splitting.kernel import SCORE_LEVELS, Replicas, ScoreFunction, SystemProblem
-from sim.sample.settings import NOT_IN_STATE, check_settings
-from sim.sample.workers import checkpoint_of, interruptible, workers_of
+from sim.sample.settings import check_settings
+from sim.sample.workers import workers_of
 from sim.step.arrays import MAX_TRAJECTORIES
 from sim.step.random import stream_of
 from sim.step.step_size import STEP_PER_RATE, chosen_step, temperature
@@ -52,8 +50,8 @@ class Splitting:
     A repetition has ``replicas`` paths, of which each level kills ``killed`` or more.
     ``repetitions`` are made at the step dt and as many at dt/2; with ``tol`` this is repeated until
     the relative error is ``tol`` or less, at most for ``seconds`` of wall time. ``dt`` None: a step
-    chosen for the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``: see
-    ``MonteCarlo``; the numbers do not depend on them.
+    chosen for the system. ``threads`` and ``cluster``: see ``MonteCarlo``; the numbers do not
+    depend on them.
 
     A small one::
 
@@ -71,8 +69,6 @@ class Splitting:
     seconds: float = 60.0
     threads: int | None = None
     cluster: str | None = None
-    checkpoint: Path | None = None
-    partial: bool = False
 
     def __post_init__(self) -> None:
         """Check all numbers; raise ``InvalidInput`` if one cannot be used."""
@@ -104,14 +100,10 @@ class RareFailure:
     log_probability: float
     sampling_error: float  # one standard error
     bias: float
-    bias_error: float  # one standard error
     values: Array
     extinct: int
     levels: float  # mean number of levels of a repetition
     dt: float
-    steps: int  # of all repetitions at both steps
-    seconds: float  # wall time
-    settings: Mapping[str, str | float | int] = field(default_factory=dict)
 
     @property
     def relative_error(self) -> float:
@@ -209,29 +201,60 @@ def rare_failure(
 
     Raises ``InvalidInput`` for a start at or beyond the limit, a time that is not finite and > 0,
     or a ``score`` for several limits; ``NotApplicable`` without noise or with modulated noise;
-    ``NotCertified`` if ``seconds`` or Ctrl-C leave fewer than ``LEAST_REPETITIONS`` repetitions.
+    ``NotCertified`` if ``seconds`` leave fewer than ``LEAST_REPETITIONS`` repetitions.
     """
-    own = settings or Splitting()
+    s = settings or Splitting()
     if not (isfinite(time) and time > 0.0):
         raise InvalidInput("time", time, "must be a finite number > 0")
     require_constant_noise(system.modulation)
-    problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
-    return sample_failure(problem, own, progress)
+    problem = system_problem(system, limit, start, time, dt=s.dt, score=score)
+    dt = 0.5 * time / step_count(problem)
+    # Results of the repetitions at dt and dt/2, (results, 2, made); NaN until one is finished.
+    made = np.zeros((3, 2, 0))
+
+    def repeated(number: int) -> float | None:
+        nonlocal made
+        made = np.concatenate([made, np.full((3, 2, s.repetitions), nan)], axis=2)
+        wanted = made.shape[2]
+        left = [(k, fine) for k in range(number * s.repetitions, wanted) for fine in (0, 1)]
+        for first in range(0, len(left), workers.threads):
+            most = s.seconds - (working_time() - watch.begin)
+            tasks = left[first : first + workers.threads]
+            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
+            for index, fine, result in workers.as_finished(calls):
+                made[:, fine, index] = result
+            progress(finished(), wanted, "splitting")
+            if watch.ends():
+                return None
+        return failure_estimate(made, dt, s).relative_error
+
+    def finished() -> int:
+        """Return the number n of which the repetitions 0 to n − 1 are finished at both steps."""
+        return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
+
+    with workers_of(s.cluster, s.threads or usable_cores()) as workers:
+        watch = Watch(s.seconds, lambda: False, s.tol)
+        watch.until(repeated, most=1 if s.tol is None else inf)
+    if (whole := finished()) < LEAST_REPETITIONS:
+        seconds = working_time() - watch.begin
+        raise NotCertified(
+            f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
+            " are needed: allow more seconds"
+        )
+    return failure_estimate(made[:, :, :whole], dt, s)
 
 
 def repetition(
     problem: SystemProblem, settings: Splitting, seconds: float, number: int, fine: int
-) -> tuple[int, int, tuple[float, int, int, int]]:
+) -> tuple[int, int, tuple[float, int, int]]:
     """Return ``number``, ``fine`` and the result of this repetition at the step dt / 2**``fine``.
 
-    The result is the three numbers of ``split``, whose ln P is NaN if ``seconds`` of wall time did
-    not suffice, and the number of steps that were computed.
+    The result is that of ``split``, whose ln P is NaN if ``seconds`` of wall time did not suffice.
     """
     until, stream = working_time() + seconds, stream_of(settings.seed, 2 * number + fine)
     steps, seed = step_count(problem) * 2**fine, int(stream.integers(2**63))
     replicas = Replicas(problem, settings.replicas, steps, seed, stream)
-    result = split(replicas, SCORE_LEVELS, settings.killed, stream, until)
-    return number, fine, (*result, int(replicas.paths.moved.sum()))
+    return number, fine, split(replicas, SCORE_LEVELS, settings.killed, stream, until)
 
 
 def step_count(problem: SystemProblem) -> int:
@@ -241,53 +264,6 @@ def step_count(problem: SystemProblem) -> int:
     if not 1 <= steps <= most:
         raise InvalidInput("dt", problem.dt, f"makes {steps:g} steps; use at most {most}")
     return steps
-
-
-def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progress) -> RareFailure:
-    """Return the probability of failure in ``problem``; see ``rare_failure``."""
-    dt, s = 0.5 * problem.time / step_count(problem), settings
-    checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_STATE)
-    # Results of the repetitions at dt and dt/2, (results, 2, made); NaN until one is finished.
-    made, seconds = np.zeros((4, 2, 0)), 0.0
-
-    def repeated(number: int) -> float | None:
-        nonlocal made, seconds
-        wanted = (number + 1) * s.repetitions
-        missing = (0, 0), (0, 0), (0, max(0, wanted - made.shape[2]))
-        made = np.pad(made, missing, constant_values=nan)
-        left = np.argwhere(np.isnan(made[0, :, :wanted]).T).tolist()
-        for first in range(0, len(left), workers.threads):
-            most = s.seconds - (working_time() - watch.begin)
-            tasks = left[first : first + workers.threads]
-            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
-            for index, fine, result in workers.as_finished(calls):
-                made[:, fine, index] = result
-                seconds = working_time() - watch.begin
-                checkpoint.save({"made": made, "seconds": np.array(seconds)})
-            progress(finished(), wanted, "splitting")
-            if watch.ends():
-                return None
-        return failure_estimate(made[:, :, :wanted], dt, seconds, s).relative_error
-
-    def finished() -> int:
-        """Return the number n of which the repetitions 0 to n − 1 are finished at both steps."""
-        return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
-
-    with (
-        workers_of(s.cluster, s.threads or usable_cores()) as workers,
-        checkpoint.alone(),
-        interruptible(s.partial) as checkpoint.stopped,
-    ):
-        if saved := checkpoint.load():
-            made, seconds = saved["made"], float(saved["seconds"])
-        watch = Watch(s.seconds, checkpoint.stopped, s.tol, working_time() - seconds)
-        watch.until(repeated, most=1 if s.tol is None else inf)
-    if (whole := finished()) < LEAST_REPETITIONS:
-        raise NotCertified(
-            f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
-            " are needed: allow more seconds"
-        )
-    return failure_estimate(made[:, :, :whole], dt, seconds, s)
 
 
 def mean_and_error(log_values: Array) -> tuple[float, float]:
@@ -311,21 +287,20 @@ def mean_and_error(log_values: Array) -> tuple[float, float]:
     return mean, error if error <= LARGEST_SPREAD * mean else inf
 
 
-def failure_estimate(made: Array, dt: float, seconds: float, settings: Splitting) -> RareFailure:
-    """Return the probability from repetitions ``made`` (4, 2, count) at 2 ``dt`` and ``dt``.
+def failure_estimate(made: Array, dt: float, settings: Splitting) -> RareFailure:
+    """Return the probability from repetitions ``made`` (3, 2, count) at 2 ``dt`` and ``dt``.
 
-    The rows are ln P, levels, early failures, steps; see ``split``. If the bias falls at least as
-    fast as the step, it is at most the difference of the two means. A difference below its standard
-    error may be small by chance: then this error is taken for it. ``seconds``: wall time.
+    The rows are ln P, levels, early failures; see ``split``. If the bias falls at least as fast as
+    the step, it is at most the difference of the two means. A difference below its standard error
+    may be small by chance: then this error is taken for it.
     """
-    (coarse, fine), levels, failures, steps = made
+    (coarse, fine), levels, failures = made
     paths, unit = settings.replicas * fine.size, float(np.max(made[0]))
     unit = unit if np.isfinite(unit) else 0.0
     (at_long, long_error), (mean, own) = (mean_and_error(x - unit) for x in (coarse, fine))
     own = own or mean / paths  # as if one of all paths had not failed
     bias, scale = at_long - mean, exp(unit)
-    bias_error = hypot(own, long_error)
-    error = hypot(own, max(abs(bias), bias_error))
+    error = hypot(own, max(abs(bias), hypot(own, long_error)))
     bound = (mean + 1.645 * error) * scale
     if not mean > 0.0 or error == inf:
         bound = min(1.0, most_events(int(failures[1].sum())) / paths)
@@ -336,12 +311,8 @@ def failure_estimate(made: Array, dt: float, seconds: float, settings: Splitting
         log_probability=log(mean) + unit if mean > 0.0 else -inf,
         sampling_error=own * scale,
         bias=bias * scale,
-        bias_error=bias_error * scale,
         values=np.exp(fine),
         extinct=int(np.sum(~np.isfinite(fine))),
         levels=float(levels[1].mean()),
         dt=dt,
-        steps=int(np.nansum(steps)),
-        seconds=seconds,
-        settings={k: v for k, v in asdict(settings).items() if isinstance(v, (int, float, str))},
     )
