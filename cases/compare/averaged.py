@@ -7,7 +7,7 @@ without using them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil, isfinite
+from math import isfinite
 from typing import Any, Self
 
 import numpy as np
@@ -24,16 +24,8 @@ from fpk.system.linear import modal_energies
 from fpk.system.process import Process
 from fpk.system.system import System
 
-BURN_IN, SAMPLED = 10.0, 20.0
-"""Burn-in and sampled time of each path, in relaxation times."""
-
 STEP = 0.1
 """Default step in units of the fastest relaxation time; motion in time also runs at half of it."""
-
-STATIONARY = 0.25
-"""Step of stationary densities in units of ``step``: no second step measures their bias.
-On vanderpol the standard deviation of H was off by 5 standard errors at a step of 0.1, by less than
-half a standard error at 0.025."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +35,10 @@ class AveragedSimulation(Method):
     The relaxation time of an energy is ``scale/d``, d the drift at H_i = 0, in which noise fills
     the scale. Paths run for ``BURN_IN`` of the slowest relaxation times and are sampled every half
     of it for ``SAMPLED``; steps are ``step`` times the fastest (``STATIONARY`` times that for
-    stationary densities), or from sample to sample if steps are exact. Two wells with rare passages
-    relax more slowly. ``paths`` in all; ``threads`` None: all cores, on which the answer does not
-    depend. ``tol``: largest expected L1 error by chance of a certified answer. ``seconds``: limit
-    of the wall time.
+    stationary densities), or from sample to sample if steps are exact. These are constants of
+    ``sim.questions.averaged.paths``. Two wells with rare passages relax more slowly. ``paths`` in
+    all; ``threads`` None: all cores, on which the answer does not depend. ``tol``: largest expected
+    L1 error by chance of a certified answer. ``seconds``: limit of the wall time.
 
     Raises ``InvalidInput`` naming the field that cannot be used.
     """
@@ -164,9 +156,7 @@ class AveragedSimulation(Method):
         if factor := values.get("noise", 0.0):
             louder = replace(system, noise_intensity=factor * system.noise_intensity)
             form = self._form(self._process(louder))
-            slowest, steps = self._steps(form)
-            dt, many = 0.5 * slowest / steps, ceil(2.0 * BURN_IN) * steps
-            return partial(burnt_in, form, dt=dt, steps=many, threads=self.threads)
+            return partial(burnt_in, self, form)
         if start.kind == "energy" and not line:
 
             def spread(paths: int, stream: np.random.Generator) -> Array:
@@ -187,12 +177,6 @@ class AveragedSimulation(Method):
         fixed = np.atleast_1d(energies.sum()) if line else energies
         return lambda paths, stream: np.tile(fixed, (paths, 1))
 
-    def _steps(self, form: Any) -> tuple[float, int]:
-        """Return the longest relaxation time, and the steps in half of it, 1 if steps are exact."""
-        times, exact = form.scales / form.noise, form.damping is None
-        slowest, longest = float(times.max()), STATIONARY * self.step * float(times.min())
-        return slowest, 1 if exact else ceil(0.5 * slowest / longest - 1e-9)
-
     def _unknown(self, observable: Observable) -> str | None:
         """Why the averaged energies do not give the observable, None if they do."""
         name = observable_name(observable)
@@ -210,30 +194,9 @@ class AveragedSimulation(Method):
         from sim.questions.averaged.paths import simulate_energies
 
         form = self._form(process)
-        slowest, steps = self._steps(form)
-        interval = 0.5 * slowest
-        too_long = f"the bias of step = {self.step:g} is not known; use {STEP:g}"
-        densities = simulate_energies(
-            self,
-            form,
-            observables,
-            interval=interval,
-            steps=steps,
-            time=SAMPLED * slowest,
-            burn_in=BURN_IN * slowest,
-            failures=() if form.damping is None or self.step <= STEP else (too_long,),
-            progress=progress,
-        )
-        settings: dict[str, str | float | int] = {
-            "equation": self.route.equation,
-            "relaxation time": slowest,
-            "dt": interval / steps,
-            "steps": form.steps,
-            "paths": self.paths,
-            "time": SAMPLED * slowest,
-            "seed": self.seed,
-        }
-        return Result(self, densities, settings=settings)
+        unknown = f"the bias of step = {self.step:g} is not known; use {STEP:g}"
+        failures = () if form.damping is None or self.step <= STEP else (unknown,)
+        return simulate_energies(self, form, observables, failures, progress)
 
     def refined(self) -> Self:
         """Return the method with four times the paths and half the step: half of both errors."""

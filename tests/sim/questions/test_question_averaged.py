@@ -34,9 +34,6 @@ from fpk.system.system import System
 from sim.questions.averaged.paths import simulate_energies
 from sim.questions.averaged.square_root import square_root_form, square_root_step
 
-SAMPLING: Any = {"interval": 1.0, "steps": 5, "time": 10.0, "burn_in": 10.0}
-"""Modes that decay at the rate 0.4 or faster: e⁻⁴ of the start's deviation is left at first, and a
-quarter of that in the mean over ten units of time, half a percent in L1; the bands are wider."""
 H1, H2, TOTAL = Coordinate("H", 0), Coordinate("H", 1), Coordinate("H")
 Z = 4.5
 """|z| that chance explains: of some 40 points 3e-4."""
@@ -56,9 +53,8 @@ def coupled(strength: float, energies: int = 2) -> Process:
 def test_agrees_with_the_exact_density_and_rejects_a_wrong_coefficient() -> None:
     # The band is that of chance alone at 1e-4; the step bias must stay inside it, and a coefficient
     # that is a quarter too strong must not.
-    (sampled,) = simulate_energies(
-        averaged("integrable", paths=4096), square_root_form(coupled(0.8)), [(H1, H2)], **SAMPLING
-    )
+    method = averaged("integrable", paths=4096)
+    (sampled,) = simulate_energies(method, square_root_form(coupled(0.8)), [(H1, H2)]).densities
     joined = sampled.joined(4)
     (x, first), (y, second) = ((0.5 * (e[1:] + e[:-1]), np.diff(e)) for e in joined.edges)
     total, area = x[:, None] + y, first[:, None] * second
@@ -146,17 +142,19 @@ def test_what_is_not_an_energy_or_a_square_root_process_is_refused() -> None:
             square_root_form(replace(coupled(0.1), coefficients=changed))
     with pytest.raises(InvalidInput, match="paths"):
         simulate_energies(
-            averaged("integrable", paths=100), square_root_form(coupled(0.1)), [(H1,)], **SAMPLING
+            averaged("integrable", paths=100), square_root_form(coupled(0.1)), [(H1,)]
         )
     with pytest.raises(InvalidInput, match="step"):
         AveragedSimulation("integrable", step=0.0)
 
 
 def test_the_answers_do_not_depend_on_threads() -> None:
-    form, short = square_root_form(coupled(0.8)), SAMPLING | {"time": 3.0}
-    few = [averaged("integrable", paths=256, threads=k) for k in (1, 2)]
-    one, two = (simulate_energies(method, form, [(H1,)], **short)[0] for method in few)
-    assert np.array_equal(one.batch_values, two.batch_values)
+    form, few = square_root_form(coupled(0.8)), {"paths": 256, "step": 0.8}
+    alone, both = (
+        simulate_energies(averaged("integrable", threads=k, **few), form, [(H1,)]).densities[0]
+        for k in (1, 2)
+    )
+    assert np.array_equal(alone.batch_values, both.batch_values)
     asked: Any = linear(2), "H1", "noise=0.5", [1.0, 2.0], [0.1, 0.2]
     one, two, other = (
         transient(*asked, method=averaged("integrable", threads=k, seed=seed, paths=4096))
