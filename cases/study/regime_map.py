@@ -12,6 +12,7 @@ from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
 from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
 from cases.show.pictures.style import COLOURS, symbol_of
+from cases.show.records import Record
 from cases.show.study_page import Page, Table
 from cases.show.variables import Variables
 from cases.show.words import reader_words, stationary_note
@@ -27,34 +28,20 @@ UNDECIDED, NEITHER = "undecided", "neither"
 
 
 @dataclass(frozen=True)
-class MapPoint:
-    """Measured distances of the theories to the full system at one grid point.
-
-    ``L1`` and ``error`` are by theory, without the theories that do not apply. ``reference`` is the
-    route that solved the full system, empty if no theory applies; ``rms_ratio`` the smallest
-    clearance over the rms displacement without contact, None if it is not known; ``winner`` the
-    nearer theory, or ``UNDECIDED``, or ``NEITHER``; ``problems`` are failures and answers that are
-    not certified.
-    """
-
-    values: tuple[float, ...]
-    L1: dict[str, float]
-    error: dict[str, float]
-    reference: str
-    rms_ratio: float | None
-    winner: str
-    problems: tuple[str, ...]
-    seconds: float
-
-
-@dataclass(frozen=True)
 class RegimeMap:
-    """The points of a map in the order of the ``sweep`` of averaging errors that it is made of."""
+    """The points of a map in the order of the ``sweep`` of averaging errors that it is made of.
+
+    A point has the distances of the theories to the full system there: ``L1`` and ``error`` by
+    theory, without the theories that do not apply; ``reference``, the route that solved the full
+    system, empty if no theory applies; ``rms_ratio``, the smallest clearance over the rms
+    displacement without contact, None if it is not known; and ``winner``, the nearer theory, or
+    ``UNDECIDED``, or ``NEITHER``. ``values``, ``problems``, ``seconds`` are of the ``SweepPoint``.
+    """
 
     scene: Scene
     observable: Observable
     sweep: Sweep
-    points: tuple[MapPoint, ...]
+    points: tuple[Record, ...]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -72,9 +59,9 @@ class RegimeMap:
         swept, name = self.sweep, observable_name(self.observable)
         keys = tuple(axis.dimension for axis in swept.axes)
         shape = [axis.values.size for axis in swept.axes]
-        ratio = np.array([p.rms_ratio for p in self.points], dtype=float).reshape(shape)
+        ratio = np.array([p["rms_ratio"] for p in self.points], dtype=float).reshape(shape)
         texts = {
-            key: np.array([getattr(p, key) for p in self.points], dtype=str).reshape(shape)
+            key: np.array([p[key] for p in self.points], dtype=str).reshape(shape)
             for key in ("winner", "reference")
         }
         distance = f"L1 distance of p({name}) to the full system"
@@ -94,16 +81,14 @@ class RegimeMap:
         swept, theories = self.sweep, self.sweep.methods
         rows = [
             {
-                **dict(zip(swept.heads(), p.values, strict=True)),
-                **{f"L1 {reader_words(t)}": p.L1.get(t) for t in theories},
-                **{f"error {reader_words(t)}": p.error.get(t) for t in theories},
-                "winner": p.winner,
-                "reference": p.reference,
-                "rms_ratio": p.rms_ratio,
+                **dict(zip(swept.heads(), p["values"], strict=True)),
+                **{f"L1 {reader_words(t)}": p["L1"].get(t) for t in theories},
+                **{f"error {reader_words(t)}": p["error"].get(t) for t in theories},
+                **{key: p[key] for key in ("winner", "reference", "rms_ratio")},
             }
             for p in self.points
         ]
-        counts = Counter(p.winner for p in self.points)
+        counts = Counter(p["winner"] for p in self.points)
         winners = [word for word in (*theories, UNDECIDED, NEITHER) if counts[word]]
         summary = (
             f"p({observable_name(self.observable)}), {len(self.points)} points"
@@ -179,16 +164,16 @@ def build_map(scene: Scene, vary: Sequence[str], **settings: Any) -> RegimeMap:
             if a.value is not None and a.error is not None
         }
         points.append(
-            MapPoint(
-                values=point.values,
-                L1={name: value for name, (value, _) in distances.items()},
-                error={name: error for name, (_, error) in distances.items()},
-                reference=max(a.reference for a in point.answers),
-                rms_ratio=min(ratios, default=None),
-                winner=winner_of(distances),
-                problems=point.problems,
-                seconds=point.seconds,
-            )
+            {
+                "values": point.values,
+                "L1": {name: value for name, (value, _) in distances.items()},
+                "error": {name: error for name, (_, error) in distances.items()},
+                "reference": max(a.reference for a in point.answers),
+                "rms_ratio": min(ratios, default=None),
+                "winner": winner_of(distances),
+                "problems": point.problems,
+                "seconds": point.seconds,
+            }
         )
     return RegimeMap(scene, observable, swept, tuple(points))
 

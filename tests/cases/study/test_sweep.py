@@ -120,13 +120,13 @@ def test_the_averaging_error_is_what_regime_maps():
     swept = face.sweep(scene, text, ["averaging_error(q2)"])
     assert swept.methods == ("nonintegrable", "integrable")
     for k, point in enumerate(mapped.points):
-        system = with_numbers(scene.system, {"contact.clearance": point.values[0]})
+        system = with_numbers(scene.system, {"contact.clearance": point["values"][0]})
         for j, theory in enumerate(swept.methods):
             (pair,) = face.compare(face.solve(system, ["q2"], methods=["exact", theory]))
-            assert abs(point.L1[theory] - pair.L1) <= point.error[theory] + pair.error
-            assert swept.field("value")[0, j, k] == point.L1[theory]
-            assert swept.points[k].answers[j].reference == point.reference == "exact"
-        assert point.L1["nonintegrable"] < 1e-10
+            assert abs(point["L1"][theory] - pair.L1) <= point["error"][theory] + pair.error
+            assert swept.field("value")[0, j, k] == point["L1"][theory]
+            assert swept.points[k].answers[j].reference == point["reference"] == "exact"
+        assert point["L1"]["nonintegrable"] < 1e-10
 
 
 def test_a_value_whose_error_is_beyond_it_is_not_certified():
