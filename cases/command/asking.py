@@ -89,6 +89,7 @@ class Asked:
         self, question: Question, work: Callable[..., Any], settings: dict[str, Any]
     ) -> tuple[Any, Any, str, float]:
         """The method, answer, a note on a looser tolerance or "", seconds; raises ``BadInput``."""
+        from cases.compare.attempts import loosen_tolerance
         from cases.compare.routes import all_routes, methods_of, settings_of
         from cases.show.bar import progress_bar
 
@@ -105,7 +106,11 @@ class Asked:
             for method in methods:
                 try:
                     with progress_bar() as progress:
-                        answer, note = self._at_tolerance(partial(work, method, progress=progress))
+                        ask = partial(work, method, progress=progress)
+                        if self.tol is None:
+                            answer, note = loosen_tolerance(ask, lambda own: [own.certificate])
+                        else:
+                            answer, note = ask(tol=self.tol), ""
                     return method, answer, note, perf_counter() - start
                 except NotApplicable as reason:
                     reasons.append(str(reason))
@@ -116,14 +121,6 @@ class Asked:
             raise BadInput(f"{self.scene.name}: {name} does not apply: {reasons[0]}")
         able = dict.fromkeys(r.method for r in all_routes() if hasattr(r.make(), question.name))
         raise BadInput(f"{name} gives no {question.words}; use one of {', '.join(able)}")
-
-    def _at_tolerance(self, ask: Callable[..., Any]) -> tuple[Any, str]:
-        """The answer ``ask(tol=self.tol)``, or at the default, and a note if that is loosened."""
-        from cases.compare.attempts import loosen_tolerance
-
-        if self.tol is not None:
-            return ask(tol=self.tol), ""
-        return loosen_tolerance(lambda tol: ask(tol=tol), lambda answer: [answer.certificate])
 
 
 def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:

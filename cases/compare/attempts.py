@@ -4,7 +4,7 @@ The simulations of a command share its wall time among its questions and their r
 misses its default tolerance is asked again at a looser one.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from math import ceil, inf, isnan, log10
 from typing import Any, TypeVar
@@ -65,12 +65,6 @@ class Budget:
             taken = self.clock() - begin
             self._own, self.seconds = self._own - taken, self.seconds - taken
             self._routes -= 1
-
-
-def budget_of(methods: Sequence[Any], questions: int) -> Budget:
-    """Return the budget for ``questions``: the largest ``seconds`` of a simulation, or None."""
-    given = [m.seconds for m in methods if m.route.sampled and getattr(m, "seconds", None)]
-    return Budget(max(given, default=None), questions)
 
 
 @dataclass(frozen=True)

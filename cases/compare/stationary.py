@@ -9,7 +9,7 @@ from typing import Any
 
 from cases.compare.answering import replies_of
 from cases.compare.answers import Answers
-from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, budget_of
+from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, Budget
 from cases.compare.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
@@ -139,7 +139,8 @@ def run_scene(
     """
     start, share = perf_counter(), 1.0 / len(scene.curves)
     questions = 1 + len(scene.passages) + len(scene.transients)
-    budget = budget_of(methods, len(scene.curves) * questions)
+    given = [s for m in methods if m.route.sampled and (s := getattr(m, "seconds", None))]
+    budget = Budget(max(given, default=None), len(scene.curves) * questions)
     attempts = partial_of(Attempts, partial, relax, budget, progress)
     curves: list[Answers] = []
     for k, curve in enumerate(scene.curves, start=1):

@@ -52,16 +52,6 @@ def moment_products(n: int, *, terms: bool = False) -> tuple[Product, ...]:
     return tuple(products)
 
 
-def batch_moments(system: System, batch_means: Array) -> dict[Product, Array]:
-    """Return the means (batches,) by product; both orders of the two factors are keys.
-
-    ``batch_means`` (batches, products) are in the order of ``moment_products``.
-    """
-    products = moment_products(system.n, terms=bool(system.damping_terms))
-    moments = dict(zip(products, batch_means.T, strict=True))
-    return moments | {(b, j, a, i): mean for (a, i, b, j), mean in moments.items()}
-
-
 def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...]:
     """Return the moment identities, which are exact in the stationary state of Eq. (6).
 
@@ -72,7 +62,9 @@ def moment_identities(system: System, batch_means: Array) -> tuple[Identity, ...
     products), in the order of ``moment_products``.
     """
     m, c, masses = system.mass, system.damping, range(system.n)
-    mean = batch_moments(system, batch_means)
+    products = moment_products(system.n, terms=bool(system.damping_terms))
+    mean = dict(zip(products, batch_means.T, strict=True))
+    mean |= {(b, j, a, i): own for (a, i, b, j), own in mean.items()}
 
     def damped(a: str, i: int) -> Array:
         terms = [c[i, j] / m[j] * mean[a, i, "p", j] for j in masses]

@@ -139,7 +139,11 @@ def solve_elements(
         u, enriched = (_element_null_vectors(A, m) for m in degrees)
     else:
         (u, own), (enriched, _) = (null_vectors(process, nodes, m, points) for m in degrees)
-    residual, net_flux, one_way = _residuals(A, u)
+    # All terms are zero if an element is so short that the damping in it underflows.
+    terms = A[:, :degree, : degree + 1] * u[:, None]
+    missed, sizes = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
+    residual = missed.max(axis=1) / np.maximum(sizes.max(axis=1), SMALLEST)
+    net_flux, one_way = missed[:, 0], sizes[:, 0]
     values, better = (T * (f @ rule.P[: f.shape[1]]) for f in (u, enriched))
     weights, better_mass = np.broadcast_to(rule.weight, T.shape), better @ rule.enriched_weight
     if len(process.nonsmooth):
@@ -181,18 +185,6 @@ def solve_elements(
         net_flux=scale * net_flux,
         one_way=scale * one_way,
     )
-
-
-def _residuals(A: Array, u: Array) -> tuple[Array, Array, Array]:
-    """Relative residuals of ``A`` ``u`` = 0, and |Σ terms| and Σ |terms| of its first equation.
-
-    ``A`` is (elements, equations, columns), ``u`` (elements, m): the first m − 1 equations and m
-    columns count. The residual is the largest |Σ terms| over the largest Σ |terms|, (elements,).
-    """
-    # All terms are zero if an element is so short that the damping in it underflows.
-    terms = A[:, : u.shape[1] - 1, : u.shape[1]] * u[:, None]
-    residual, size = np.abs(terms.sum(axis=2)), np.abs(terms).sum(axis=2)
-    return residual.max(axis=1) / np.maximum(size.max(axis=1), SMALLEST), residual[:, 0], size[:, 0]
 
 
 def _element_null_vectors(A: Array, degree: int) -> Array:
