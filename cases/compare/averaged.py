@@ -7,7 +7,7 @@ without using them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isfinite
+from math import inf
 from typing import Any, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, reg
 from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_name
 from fpk.answer.question import Asked, answer
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 from fpk.system.escape import require_held
 from fpk.system.linear import modal_energies
 from fpk.system.process import Process
@@ -53,12 +53,10 @@ class AveragedSimulation(Method):
 
     def __post_init__(self) -> None:
         """Check seed, step, threads, tolerance and seconds."""
-        if not 0 <= self.seed < 2**64:
-            raise InvalidInput("seed", self.seed, "use an integer from 0 to 2**64 - 1")
+        require(0 <= self.seed < 2**64, "seed", self.seed, "use an integer from 0 to 2**64 - 1")
         for key in ("step", "threads", "tol", "seconds"):
             value = getattr(self, key)
-            if value is not None and not (isfinite(value) and value > 0):
-                raise InvalidInput(key, value, "must be a finite number > 0")
+            require(value is None or 0 < value < inf, key, value, "must be a finite number > 0")
 
     @property
     def route(self) -> Route:

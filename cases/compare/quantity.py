@@ -24,7 +24,7 @@ from fpk.answer.names import (
     parse_observable,
 )
 from fpk.answer.quantities import Number
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.system.contact import Contact
 from fpk.system.system import System
 
@@ -199,9 +199,8 @@ def parse_definition(text: str, system: System) -> Definition:
             index = _parse_count("contact", name, count, words) - 1
             contact = system.contacts[index]
             sides = [stop.side for stop in contact.one_sided()]
-            if rest and rest not in sides:
-                remedy = f"is no side of contact {name}; use {' or '.join(sides)}"
-                raise InvalidInput("side", rest, remedy)
+            remedy = f"is no side of contact {name}; use {' or '.join(sides)}"
+            require(rest in ("", *sides), "side", rest, remedy)
             mass = (Coordinate("q", contact.index),)
             return Definition(kind, mass, contact=index, side=rest)
     except InvalidInput as error:
@@ -221,8 +220,7 @@ def _observable(text: str, system: System, sizes: Sequence[int] = (1,)) -> Obser
 
 
 def _parse_count(key: str, text: str, most: int, remedy: str) -> int:
-    if not (re.fullmatch(r"[0-9]{1,4}", text) and 1 <= int(text) <= most):
-        raise InvalidInput(key, text, remedy)
+    require(re.fullmatch(r"[0-9]{1,4}", text) and 1 <= int(text) <= most, key, text, remedy)
     return int(text)
 
 

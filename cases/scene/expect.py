@@ -6,7 +6,7 @@ from operator import ge, gt, le, lt
 from typing import Any, Literal
 
 from fpk.answer.names import Observable, observable_name
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 
 Theory = Literal["nonintegrable", "integrable"]
 
@@ -27,8 +27,7 @@ def range_of(key: str, given: Mapping[str, float]) -> Range:
 
     Raises ``InvalidInput`` about ``key`` if there is none, or if there are several.
     """
-    if len(given) != 1:
-        raise InvalidInput(key, given, f"must have exactly one of {', '.join(RELATIONS)}")
+    require(len(given) == 1, key, given, f"must have exactly one of {', '.join(RELATIONS)}")
     return next(iter(given.items()))
 
 
@@ -67,16 +66,14 @@ def expect_of(
     by_name = {observable_name(o): o for o in observables}
     given = table.get("of", next(iter(by_name)))
     name = ",".join(part.strip() for part in given.split(","))
-    if name not in by_name:
-        remedy = f"is not observed here; use {', '.join(by_name)}"
-        raise InvalidInput("expect.of", given, remedy)
+    remedy = f"is not observed here; use {', '.join(by_name)}"
+    require(name in by_name, "expect.of", given, remedy)
     claims = {**table, "of": by_name[name]}
     for key in table.keys() & {"non_gaussian", "almost_gaussian"}:
         claims[key] = range_of(f"expect.{key}", table[key])
         if len(by_name[name]) > 1:
             raise InvalidInput(f"expect.{key}", table[key], "is for one coordinate, not a pair")
     for key in table.keys() & {"non_gaussian", "almost_gaussian", "nonintegrable_better_with"}:
-        if curves < 2:
-            remedy = "is about the curves of [vary]; add it"
-            raise InvalidInput(f"expect.{key}", table[key], remedy)
+        remedy = "is about the curves of [vary]; add it"
+        require(curves > 1, f"expect.{key}", table[key], remedy)
     return Expect(**claims)

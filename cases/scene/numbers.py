@@ -10,7 +10,7 @@ import numpy as np
 from cases.scene.errors import about_key
 from cases.scene.units import DERIVED, NUMBER, Powers
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.system.contact import Contact
 from fpk.system.damping import DampingTerm
 from fpk.system.system import System
@@ -189,8 +189,7 @@ def curves_of(system: System, vary: Mapping[str, Mapping[str, Any]] | None) -> t
     given = [
         (f"{table}.{key}", values) for table, part in vary.items() for key, values in part.items()
     ]
-    if len(given) != 1:
-        raise InvalidInput("vary", vary, f"must have exactly one of {', '.join(VARIED)}")
+    require(len(given) == 1, "vary", vary, f"must have exactly one of {', '.join(VARIED)}")
     key, values = given[0]
     if key.startswith("contact.") and not system.contacts:
         raise InvalidInput(f"vary.{key}", values, "the scene has no [[contact]] to vary")

@@ -20,7 +20,7 @@ from fpk.answer.names import (
     parse_observable,
     parse_start,
 )
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.system.linear import modal_energies
 from fpk.system.system import System
 
@@ -107,8 +107,7 @@ def transients_of(
         with _name_table(f"transient[{k}]"):
             with about_key("of", table["of"]):
                 of = parse_observable(table["of"], system.n)
-            if len(of) > 1:
-                raise InvalidInput("of", table["of"], "must be one coordinate, not a pair")
+            require(len(of) == 1, "of", table["of"], "must be one coordinate, not a pair")
             start, times = _start(table, system), _times(table)
             if times[0] == 0.0:
                 raise InvalidInput("times", list(times), "must be > 0: at 0 there is no density")
@@ -153,5 +152,4 @@ def require_below(system: System, limit: Limit, start: Start) -> None:
         least["H"] = sum(least.values())  # and what is stored in contacts
     if limit.of_energy:
         passed = any(least.get(name, 0.0) >= value for name, value in limit.values.items())
-    if passed:
-        raise InvalidInput("start", str(start), f"must lie within the limit {limit}")
+    require(not passed, "start", str(start), f"must lie within the limit {limit}")

@@ -15,7 +15,7 @@ from cases.scene.questions import PassageQuestion, TransientQuestion, passages_o
 from cases.scene.schema import validate_scene
 from cases.scene.units import NO_UNITS, Units
 from fpk.answer.names import Level, Observable, parse_observable
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.system.system import System
 
 MAX_BYTES = 1 << 20
@@ -219,8 +219,7 @@ def _exceedance(
     for name, values in table.items():
         with about_key(key, name):
             observable = parse_observable(name, system.n)
-        if len(observable) > 1:
-            raise InvalidInput(key, name, "is a pair; name one coordinate")
+        require(len(observable) == 1, key, name, "is a pair; name one coordinate")
         if observable not in observables:
             raise InvalidInput(key, name, "is not observed; add it to observe.densities")
         for k, value in enumerate(values, start=1):

@@ -7,7 +7,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from fpk.numeric.arrays import ROUND_OFF
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 
 Default = TypeVar("Default")
 
@@ -26,8 +26,7 @@ def tolerance(tol: float | None, default: Default) -> float | Default:
     """Return ``tol``, or ``default`` if it is None; raise ``InvalidInput`` unless ``tol`` > 0."""
     if tol is None:
         return default
-    if not tol > 0.0:
-        raise InvalidInput("tol", tol, "must be > 0")
+    require(tol > 0.0, "tol", tol, "must be > 0")
     return tol
 
 

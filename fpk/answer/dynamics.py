@@ -18,7 +18,7 @@ from fpk.answer.density import AnyDensity, Density
 from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import EPS, SMALLEST, Array, Complexes
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.numeric.quadrature import GAUSS_RULES, gauss_grid
 
 START_POINTS = 101
@@ -150,9 +150,8 @@ def require_times(times: Array, *, positive: bool = False) -> Array:
     ascending and >= 0, or > 0 if ``positive``."""
     if not (np.all(np.isfinite(times)) and np.all(times >= 0.0) and np.all(np.diff(times) > 0.0)):
         raise InvalidInput("times", times, "must be finite, 0 or later, and ascend")
-    if positive and times.size and times[0] == 0.0:
-        remedy = "must be > 0: there is no density at time 0, or it is that of the start"
-        raise InvalidInput("times", 0.0, remedy)
+    remedy = "must be > 0: there is no density at time 0, or it is that of the start"
+    require(not (positive and times.size and times[0] == 0.0), "times", 0.0, remedy)
     return times
 
 

@@ -79,9 +79,8 @@ def displacement_row(observable: Observable) -> int:
     """Return the number, from 0, of the mass whose displacement ``observable`` is. Raises
     ``InvalidInput`` for any observable that is not one displacement."""
     require_observables([observable])
-    if len(observable) != 1 or observable[0].kind != "q":
-        words = "is not a displacement; use q1, q2, ..."
-        raise InvalidInput("observable", observable_name(observable), words)
+    fits, words = len(observable) == 1 and observable[0].kind == "q", "is not a displacement"
+    require(fits, "observable", observable_name(observable), f"{words}; use q1, q2, ...")
     return observable[0].row
 
 
@@ -120,8 +119,7 @@ def parse_numbers(
             value = float(number)
         except ValueError:
             value = inf
-        if name in values or not isfinite(value):
-            raise InvalidInput(key, text, remedy)
+        require(name not in values and isfinite(value), key, text, remedy)
         values[name] = value
     for kind, names, needed in kinds:
         if values.keys() <= {*names} and len(values) >= needed:

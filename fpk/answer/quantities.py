@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from fpk.answer.certificate import Certificate
 from fpk.answer.names import Observable, observable_name
 from fpk.numeric.arrays import Array, Complexes, Flags
-from fpk.numeric.errors import InvalidInput, Unavailable
+from fpk.numeric.errors import InvalidInput, Unavailable, require
 
 Function = Callable[..., Array]
 ErrorKind = Literal["numerical", "sampling"]
@@ -135,8 +135,7 @@ class Quantities(ABC):
     def quantile(self, p: float) -> Number:
         """Return x with P(X <= x) = ``p``; its error follows from ``p`` ± the error of P(X <= x).
         Beyond the support it is ±∞, its error ∞. Raises ``InvalidInput`` unless 0 < ``p`` < 1."""
-        if not 0.0 < _real_number("p", p) < 1.0:
-            raise InvalidInput("p", p, "must be a probability between 0 and 1")
+        require(0.0 < _real_number("p", p) < 1.0, "p", p, "must be a probability between 0 and 1")
         low, high = (float(x) for x in self._axis()[[0, -1]])
         # The smaller of P(X <= x) and P(X > x) is inverted, as it has relative accuracy.
         upper, rounding = p > 0.5, 1e-14 * (high - low)

@@ -23,7 +23,7 @@ from fpk.answer.dynamics import (
 )
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import DEPTH, EPS, LARGEST_LOG, ROUNDINGS, SMALLEST, Array, Complexes
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.elements import ENRICHMENT
 from fpk.solvers.line.time.resolvent import contours
@@ -124,8 +124,7 @@ class SquareRoot:
             grown = self.d * float(self.modulation.faded(0.0, t, np.array(self.c)))
         if noise is not None:
             return grown + theta * noise * left, 0.0
-        if grown == 0.0:
-            raise InvalidInput("times", t, NO_NOISE_YET)
+        require(grown != 0.0, "times", t, NO_NOISE_YET)
         return grown, start * left
 
     def passage(self, limit: float, start: float, times: Array, *, tol: float) -> Passage:
@@ -169,8 +168,7 @@ class SquareRoot:
         """Return the failure rate, c times the smallest a > 0 with 1F1(−a; n; c ``limit``/d) = 0.
         Raises ``InvalidInput`` if the mean time is beyond double precision."""
         xf = limit * self.c / self.d
-        if not xf <= LARGEST_LOG:  # the mean time is about e^xf/c
-            raise InvalidInput("limit", limit, BEYOND_RANGE)
+        require(xf <= LARGEST_LOG, "limit", limit, BEYOND_RANGE)  # the mean time is about e^xf/c
         k = np.arange(1.0, int(xf + 12.0 * sqrt(xf)) + 61.0)  # as in ``passage``
         a, relative = 0.0, 4.0 * EPS * (k.size + 2.0)
         for _ in range(100):  # Newton's method rises to the root of a convex curve

@@ -13,7 +13,7 @@ from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.dynamics import Curve
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 from sim.questions.limits import Reach, longest_step, motion_step, needs_steps
 from sim.questions.passing import count_upcrossings
 from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds
@@ -49,9 +49,8 @@ def sample_correlation(method: Settings, asked: Asked) -> Curve:
     if stepped:
         simulations.insert(0, (0.5 * dt, 2 * step, False, read))
     most = MOST_SUMS // (LANES * len(simulations))
-    if longest > 0.5 * most * spacing:
-        remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
-        raise InvalidInput("at", longest, remedy)
+    remedy = f"a lag takes {longest / spacing:.1e} samples at once; ask for shorter ones"
+    require(longest <= 0.5 * most * spacing, "at", longest, remedy)
     lags = 2 * ceil(0.5 * longest / spacing) + EXTRA_LAGS
     origins = ceil((method.time or RECORD_TIMES * relaxation_time(system)) / spacing)
     origins = min(origins, most - lags)
@@ -171,17 +170,15 @@ def sample_spectrum(method: Settings, asked: Asked) -> Curve:
     they would take minutes.
     """
     system, row, at, most = asked.system, asked.row, asked.at, MOST_SUMS // (MAX_BATCHES * LANES)
-    if at.size > most:  # with 8192 windows of 3000 samples they take minutes
-        words = f"frequencies, each of which is summed on its own; ask for {most}"
-        raise InvalidInput("at", at.size, words)
+    words = f"frequencies, each of which is summed on its own; ask for {most}"
+    require(at.size <= most, "at", at.size, words)  # of 8192 windows of 3000 samples
     highest = max(float(np.max(np.abs(at))), highest_frequency(system))
     spacing = 2.0 * pi / max(SAMPLING * highest, OF_CONTACT * contact_frequency(system))
     dt, too_long = motion_step(method, system, Reach(), too_long=1.0)  # the bias is not measured
     length = 0.5 * (method.time or 2.0 * RECORD_TIMES * relaxation_time(system))
     length = 2 * ceil(length / spacing)
-    if length > MOST_SUMS // 2:
-        words = f"a window takes {length:.1e} samples at the highest frequency; ask for lower ones"
-        raise InvalidInput("at", highest, words)
+    words = f"a window takes {length:.1e} samples at the highest frequency; ask for lower ones"
+    require(length <= MOST_SUMS // 2, "at", highest, words)
     step, too_long = (ceil(2.0 * spacing / dt), too_long) if needs_steps(system) else (1, [])
     powers, means, leakage = list[Array](), list[Array](), np.zeros(0)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fpk.answer.names import REST, Coordinate, Limit, Start
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 from fpk.system.linear import (
     diffusion_matrix,
     drift_matrix,
@@ -187,20 +187,18 @@ def motion_step(
     but exact_flow, which alone can repeat a motion at half the step; ``NotApplicable`` without
     noise.
     """
-    if method.scheme != "exact_flow":
-        raise InvalidInput("scheme", method.scheme, "motions in time take exact_flow")
-    if method.checkpoint is not None:
-        raise InvalidInput("checkpoint", method.checkpoint, "motions in time save no state")
+    scheme, folder = method.scheme, method.checkpoint
+    require(scheme == "exact_flow", "scheme", scheme, "motions in time take exact_flow")
+    require(folder is None, "checkpoint", folder, "motions in time save no state")
     if not np.any(system.noise_matrix):
         raise NotApplicable("no noise reaches a mass: the motion is not random")
     kT, energy = step_size.temperature(system) if reach.kT is None else reach.kT, reach.energy
     kT = kT if kT < inf else 2.0 * energy  # undamped motion up to the limit
     longest, error = longest_step(system, reach), error or method.paths**-0.5
     dt = method.dt or method.step_factor * min(longest, step_size.step_for(system, error, kT=kT))
-    limit = step_size.stability_limit(system, SCHEMES[method.scheme], energy=energy, kT=kT)
-    if not 0.0 < dt < limit and not method.allow_unstable:
-        remedy = f"must be > 0 and below the stability limit {limit:.4g} of {method.scheme}"
-        raise InvalidInput("dt", dt, remedy)
+    limit = step_size.stability_limit(system, SCHEMES[scheme], energy=energy, kT=kT)
+    remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme}"
+    require(0.0 < dt < limit or method.allow_unstable, "dt", dt, remedy)
     words = f"between steps as long as dt = {dt:g} not all is seen; use {longest:.2g}"
     return dt, [words] if dt > too_long * longest else []
 

@@ -12,7 +12,7 @@ from fpk.answer.dynamics import Passage, require_times
 from fpk.answer.quantities import Number
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import Array, Flags
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 from fpk.numeric.machine import pause_working_time
 from fpk.system.modulation import Modulation
 from sim.questions import limits
@@ -62,8 +62,7 @@ def sample_passage(method: Settings, asked: Asked) -> Passage:
     def begun(number: int) -> tuple[list[Run], Flags, Array]:
         q, p = origin(paths, number)
         past = limits.states_beyond(system, limit, q, p)
-        if np.all(past):
-            raise InvalidInput("start", str(start), f"is beyond the limit {limit}")
+        require(not np.all(past), "start", str(start), f"is beyond the limit {limit}")
         seed = seed_of(method.seed, number)
         read = lambda motion: reader_of(system, limit, motion.dt, motion.begin)  # noqa: E731
         options: Any = {"energies": energies, "workers": workers, "modulation": modulation}
@@ -264,9 +263,8 @@ def passage_of(
     """
     times, (settled, _) = asked.times, noise_times(asked.system.modulation)
     (fine, _, until), failed = sampled, sampled[0] <= sampled[2]
-    if np.all(fine == 0.0):
-        remedy = "all trajectories begin beyond it; take a higher one"
-        raise InvalidInput("limit", str(asked.limit), remedy)
+    remedy = "all trajectories begin beyond it; take a higher one"
+    require(np.any(fine != 0.0), "limit", str(asked.limit), remedy)
     paths, events, followed = fine.size, int(np.count_nonzero(failed)), float(np.max(until))
     exposure = float(np.sum(np.minimum(fine, until)))
     # When half have failed, the others no longer depend on the start.

@@ -24,7 +24,7 @@ from scipy.special import comb, ndtr
 
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array, Integers
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, require
 from fpk.numeric.recognition import fingerprint
 from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
@@ -170,8 +170,7 @@ def setup_of(method: Settings, system: System, observables: Sequence[Observable]
     limit = stability_limit(system, scheme)
     if not 0.0 < dt < limit:
         remedy = f"must be > 0 and below the stability limit {limit:.4g} of {scheme.name}"
-        if not method.allow_unstable:
-            raise InvalidInput("dt", dt, remedy)
+        require(method.allow_unstable, "dt", dt, remedy)
         failures.append(f"the step {dt:g} was insisted on: it {remedy}")
     # A trajectory uses n of its 2**40 random words in a step, 5/4 n with long steps.
     relaxation = relaxation_time(system)

@@ -3,14 +3,14 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fpk.answer.names import Observable
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import REGISTRY
 from fpk.system.system import System
@@ -54,12 +54,10 @@ def check_settings(own: Any, positive: Sequence[str], *ranges: tuple[str, int, i
     threads = 4 * (os.cpu_count() or 1)
     for key, low, high in (*ranges, ("seed", 0, 2**64 - 1), ("threads", 1, threads)):
         value = getattr(own, key)
-        if value is not None and not low <= value <= high:
-            raise InvalidInput(key, value, f"use {low} to {high}")
+        require(value is None or low <= value <= high, key, value, f"use {low} to {high}")
     for key in positive:
         value = getattr(own, key)
-        if value is not None and not (isfinite(value) and value > 0):
-            raise InvalidInput(key, value, "must be a finite number > 0")
+        require(value is None or 0 < value < inf, key, value, "must be a finite number > 0")
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Raise ``InvalidInput`` naming the first field that cannot be used."""
-        if self.scheme not in SCHEMES:
-            raise InvalidInput("scheme", self.scheme, f"is none; use one of {sorted(SCHEMES)}")
+        remedy = f"is none; use one of {sorted(SCHEMES)}"
+        require(self.scheme in SCHEMES, "scheme", self.scheme, remedy)
         times = ("time", "relaxations", "burn_in", "dt", "step_factor", "longest", "seconds")
         paths = ("paths", LEAST_PATHS, MAX_TRAJECTORIES)
         check_settings(self, (*times, "tol", "most_steps"), paths)

@@ -16,7 +16,7 @@ import numpy as np
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import LARGEST_ERROR
 from fpk.numeric.arrays import BLOCK_SIZE, EPS
-from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.errors import NotCertified, require
 from fpk.numeric.piecewise import PiecewiseTensor
 from fpk.numeric.quadrature import gauss_grid, integral
 from fpk.solvers.line.elements import ENRICHMENT
@@ -44,8 +44,7 @@ def solve_plane(process: Process, *, tol: float = 1e-10) -> PlaneSolution:
     if the density does not fall off or no attempt succeeds, ``InvalidInput`` unless the process has
     two energies.
     """
-    if process.dimension != 2:
-        raise InvalidInput("process", process.dimension, "must have two energies")
+    require(process.dimension == 2, "process", process.dimension, "must have two energies")
     require_confined(process)
     weight = weights.flux_free_weight(process)
 

@@ -17,7 +17,7 @@ from fpk.answer.method import Progress, Result, silent
 from fpk.answer.names import Coordinate, Observable
 from fpk.answer.question import Asked
 from fpk.numeric.arrays import ROUND_OFF, Array, Flags, Integers
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import require
 from fpk.numeric.machine import usable_cores
 from fpk.system.modulation import Modulation
 from sim.questions.averaged.square_root import SquareRootForm, square_root_step
@@ -140,9 +140,8 @@ def simulate_energies(
     four times as large.
     """
     paths, seconds, tol = method.paths, method.seconds, inf if method.tol is None else method.tol
-    if paths < 4 * MAX_BATCHES or paths % MAX_BATCHES:
-        many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
-        raise InvalidInput("paths", paths, many)
+    many = f"use a multiple of {MAX_BATCHES}, {4 * MAX_BATCHES} or more"
+    require(paths >= 4 * MAX_BATCHES and paths % MAX_BATCHES == 0, "paths", paths, many)
     slowest, steps = relaxation_steps(method, form)
     dt, samples, taken = 0.5 * slowest / steps, round(2.0 * SAMPLED), 0
     stream = stream_of(method.seed, 0, of_starts=True)

@@ -18,7 +18,7 @@ import numpy as np
 from fpk.answer.method import Progress, silent
 from fpk.answer.names import Limit, Start
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified, require
 from fpk.numeric.machine import usable_cores, working_time
 from fpk.system.modulation import require_constant_noise
 from fpk.system.system import System
@@ -165,8 +165,8 @@ def system_problem(
         for energy, D, c in zip(tops, noise, decay, strict=True)
     ]
     if score is not None:
-        if len(scores) > 1:
-            raise InvalidInput("score", score, "must be left out where there are several limits")
+        words = "must be left out where there are several limits"
+        require(len(scores) == 1, "score", score, words)
         scores = [score]
     energies = [lambda x, top=top: top * x**2 for top in tops]
     tables = kernel.score_tables(scores, energies, time)
@@ -204,8 +204,7 @@ def rare_failure(
     ``NotCertified`` if ``seconds`` leave fewer than ``LEAST_REPETITIONS`` repetitions.
     """
     s = settings or Splitting()
-    if not (isfinite(time) and time > 0.0):
-        raise InvalidInput("time", time, "must be a finite number > 0")
+    require(0.0 < time < inf, "time", time, "must be a finite number > 0")
     require_constant_noise(system.modulation)
     problem = system_problem(system, limit, start, time, dt=s.dt, score=score)
     dt = 0.5 * time / step_count(problem)
@@ -261,8 +260,7 @@ def step_count(problem: SystemProblem) -> int:
     """Return the number of the longer steps in the time; ``InvalidInput`` for more than 2**32."""
     steps: int = ceil(problem.time / problem.dt * (1.0 - 1e-12))
     most = 2**56 // MAX_TRAJECTORIES
-    if not 1 <= steps <= most:
-        raise InvalidInput("dt", problem.dt, f"makes {steps:g} steps; use at most {most}")
+    require(1 <= steps <= most, "dt", problem.dt, f"makes {steps:g} steps; use at most {most}")
     return steps
 
 

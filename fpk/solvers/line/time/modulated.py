@@ -21,7 +21,7 @@ from fpk.answer.certificate import DISTANCE_FACTOR, certify
 from fpk.answer.dynamics import LARGEST_ERROR, NO_NOISE_YET, Transient
 from fpk.answer.names import number_text
 from fpk.numeric.arrays import SMALLEST, Array
-from fpk.numeric.errors import InvalidInput, NotApplicable
+from fpk.numeric.errors import NotApplicable, require
 from fpk.solvers.line.time import transition
 from fpk.solvers.line.time.elements import ChainDensity, Elements, Pair, Settings
 from fpk.solvers.line.time.resolvent import matrices
@@ -54,9 +54,8 @@ def quiet_until(modulation: Modulation, source: Source) -> float:
         return 0.0
     loud = np.flatnonzero(modulation.factor > 0.0)
     quiet = float(modulation.times[max(loud[0] - 1, 0)]) if loud.size else math.inf
-    if quiet > 0.0 and source.energy > 0.0:
-        remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
-        raise InvalidInput("start", f"H={number_text(source.energy)}", remedy)
+    remedy = f"decays without noise until t = {quiet:g}; begin there, at rest or from noise=F"
+    require(not quiet or not source.energy, "start", f"H={number_text(source.energy)}", remedy)
     return quiet
 
 
@@ -163,8 +162,7 @@ def transition_with_modulation(
     ``quiet_until`` and ``pose_question`` do.
     """
     quiet = quiet_until(modulation, source)
-    if times[0] <= quiet:
-        raise InvalidInput("times", float(times[0]), NO_NOISE_YET)
+    require(times[0] > quiet, "times", float(times[0]), NO_NOISE_YET)
     modulation, times = modulation.after(quiet), times - quiet
     unit = modulation.largest or 1.0
     first = float(modulation.energy(times[0])) / unit

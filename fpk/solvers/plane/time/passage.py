@@ -16,7 +16,7 @@ from fpk.answer.dynamics import BEYOND_RANGE, Passage, Rates, certify_passage, c
 from fpk.answer.names import number_text
 from fpk.answer.quantities import Number
 from fpk.numeric.arrays import EPS, ROUNDINGS, Array, Complexes
-from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.errors import NotCertified, require
 from fpk.solvers.plane.elements import Nodes, lu_factors
 from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes
 from fpk.solvers.plane.time.operator import DISTANCE_SHARE, PlaneOperator, PlaneStart, operators
@@ -110,8 +110,7 @@ def plane_first_passage(
     lowest = float(np.min(stationary.weight.exponent(*limit.edge(far))))
     given = [x for x in (limit.first, limit.second, limit.total) if x is not None]
     words = ", ".join(map(number_text, given))
-    if lowest > MAX_LIMIT_RISE:
-        raise InvalidInput("limit", words, BEYOND_RANGE)
+    require(not lowest > MAX_LIMIT_RISE, "limit", words, BEYOND_RANGE)
     finer = operators(
         stationary,
         partial(limit.nodes, stationary),
@@ -121,9 +120,8 @@ def plane_first_passage(
         collapsed=limit.collapsed,
     )
     every = [op for op in finer if op.sizes[0] * op.sizes[1] <= MAX_PLANE_UNKNOWNS]
-    if len(every) < 2:
-        remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
-        raise InvalidInput("limit", words, remedy)
+    remedy = "so rare a failure takes more equations than fit into memory; take a lower one"
+    require(len(every) > 1, "limit", words, remedy)
     distances = list[float]()
     levels = (_level(op, start, times, tol) for op in every)
     for left, (coarse, fine) in zip(reversed(range(len(every) - 1)), pairwise(levels), strict=True):
@@ -182,9 +180,8 @@ def _level(op: PlaneOperator, start: PlaneStart, times: Array, tol: float) -> Le
     T, change, residual = solved(shares)
     square, _, _ = solved(2.0 * (M @ T))
     mean, second = float(dual @ T), float(dual @ square)
-    if not mean > 0.0:
-        remedy = "the elements do not see so narrow a density; start from rest or louder noise"
-        raise InvalidInput("start", "stationary", remedy)
+    remedy = "the elements do not see so narrow a density; start from rest or louder noise"
+    require(mean > 0.0, "start", "stationary", remedy)
     # Round-off: the change by one step of iterative refinement, and at least 1e-14.
     relative = ROUNDINGS * abs(float(dual @ change)) / mean + 1e-14
     # The smallest λ of −A u = λ M u is real and simple; 1/λ is of the order of the longest mean
