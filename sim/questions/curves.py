@@ -12,11 +12,12 @@ import scipy  # its parts are loaded at their first use
 from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.dynamics import Curve
 from fpk.answer.question import Asked
+from fpk.answer.sampled_density import standard_error
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import require
 from sim.questions.limits import Reach, longest_step, motion_step, needs_steps
 from sim.questions.passing import count_upcrossings
-from sim.questions.rounds import MOST_SUMS, Simulation, error_of, in_rounds
+from sim.questions.rounds import MOST_SUMS, Simulation, in_rounds
 from sim.sample.diagnostics import CHUNKS, drift_limit, drifts
 from sim.sample.settings import Settings
 from sim.step.arrays import LANES, MAX_BATCHES
@@ -93,7 +94,8 @@ def curve_answer(
     against it, and if ``positive`` (points,), None: the values, is not negative within the error.
     ``settings`` are for readers.
     """
-    values, errors = blocks.mean(axis=0), np.sqrt(sum(e**2 for e in (error_of(blocks), *beside)))
+    errors = np.sqrt(sum(e**2 for e in (standard_error(blocks), *beside)))
+    values = blocks.mean(axis=0)
     relative, least = float(np.max(errors)) / scale, values if positive is None else positive
     measured = Measured(relative, None, float(np.min(least)) / scale, None, None)
     measured = replace(measured, failures=tuple(failures), absolute_error=relative)
@@ -137,7 +139,7 @@ def autocovariance(
     products, sums, means = (np.concatenate(x) for x in zip(*rounds, strict=True))
     # Unbiased: the variance of the mean, which is correlated with q, is added.
     mean = float(means.mean())
-    own = (products - mean * sums + mean**2 + error_of(means) ** 2)[:, ::every]
+    own = (products - mean * sums + mean**2 + standard_error(means) ** 2)[:, ::every]
     t = spacing * every * np.arange(own.shape[1])
     spline = scipy.interpolate.CubicSpline(t, own, axis=1, bc_type=("clamped", "not-a-knot"))
     return np.asarray(spline(at))

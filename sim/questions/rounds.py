@@ -13,6 +13,7 @@ from numpy.random import Generator
 from fpk.answer.certificate import tolerance
 from fpk.answer.names import Start
 from fpk.answer.question import Asked
+from fpk.answer.sampled_density import standard_error
 from fpk.numeric.arrays import Array, Flags
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import pause_working_time, usable_cores, working_time
@@ -309,7 +310,7 @@ def in_rounds(
         blocks, scale = estimate(sums, rms, done)
         scale = scale if scale > 0.0 else 1.0
         asked.progress(min(rounds, least), least, what)
-        return float(np.max(error_of(blocks))) / scale if whole else None
+        return float(np.max(standard_error(blocks))) / scale if whole else None
 
     with working(method, system, tolerance(asked.tol, method.tol)) as (workers, watch, origin):
         failures = watch.until(advance_round, least=least)
@@ -317,8 +318,3 @@ def in_rounds(
     if paths < LEAST_PATHS:
         failures.append(f"it ended after {paths} trajectories of {LEAST_PATHS}")
     return blocks, scale, paths, failures
-
-
-def error_of(blocks: Array) -> Array:
-    """Return the standard error of the mean of independent ``blocks`` (blocks, …)."""
-    return np.asarray(blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks)))

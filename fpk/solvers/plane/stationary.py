@@ -150,22 +150,14 @@ def solve_with_weight(process: Process, weight: Weight, *, tol: float) -> Iterat
             best, better, least = weight, weight_of(solution), error
         # On the first rung an error above 10 REFIT_ERROR leaves too few points for a fit.
         if better is None or error < REFIT_ERROR or (rung == 0 and error > 10.0 * REFIT_ERROR):
-            rung = next_rung(rung, error / tol, most=5 if error > REFIT_ERROR else len(RUNGS))
+            missing = float(np.log10(max(error / tol, 1.0))) if np.isfinite(error) else np.inf
+            gain = ceil(min(missing / DIGITS_PER_RUNG, 5 if error > REFIT_ERROR else len(RUNGS)))
+            # The second rung is four degrees above the first. No rung is skipped beyond the highest
+            # degree on four panels.
+            rung = max(rung + 1, min(rung + gain - 3 * (rung == 0), RUNGS.index((4, 18))))
         # A weight that does not lower the error extrapolates badly: return to the best weight.
         weight = best if better is None else better
         stalled = 0 if gained else stalled + 1
-
-
-def next_rung(rung: int, missing: float, *, most: int) -> int:
-    """Return the index in ``RUNGS`` after ``rung`` for an error ``missing`` times the tolerance.
-
-    It follows from the missing digits, is 1 to ``most`` higher, and skips no rung beyond the
-    highest degree on four panels. After the last rung it is len(``RUNGS``).
-    """
-    digits = float(np.log10(max(missing, 1.0))) if np.isfinite(missing) else np.inf
-    gain = ceil(min(digits / DIGITS_PER_RUNG, most))
-    # The second rung is four degrees above the first.
-    return max(rung + 1, min(rung + gain - (3 if rung == 0 else 0), RUNGS.index((4, 18))))
 
 
 def weight_of(solution: PlaneSolution) -> Weight | None:
