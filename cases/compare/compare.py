@@ -17,13 +17,12 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.special import stdtrit
 
 from fpk.answer.density import AnyDensity, Density, distance_with_error
 from fpk.answer.method import Result, Route
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.arrays import Array
-from sim.sample.diagnostics import FALSE_ALARMS
+from sim.sample.diagnostics import largest_by_chance
 
 Measures = Literal["numerical", "sampling", "averaging"]
 
@@ -201,7 +200,7 @@ def chance_l1(sampled: SampledDensity) -> tuple[float, float]:
     mean, spread = float(draws.mean()), float(draws.std(ddof=1))
     if spread == 0.0:
         return mean, mean
-    z = -float(stdtrit(count - 1, FALSE_ALARMS))
+    z = largest_by_chance(count, 1, sides=1)
     skewness = float(np.mean(((draws - mean) / draws.std()) ** 3))
     z += (z * z - 1.0) * max(skewness, 0.0) / 6.0
     return mean, mean + z * spread

@@ -13,7 +13,6 @@ from math import inf
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from cases.compare.attempts import Refusal
 from cases.compare.compare import ROUND_OFF, Comparison, Norm, discrepancies, what_is_measured
@@ -21,7 +20,7 @@ from cases.scene.questions import Question
 from fpk.answer.dynamics import LARGEST_ERROR, Passage, Transient
 from fpk.answer.method import Route
 from fpk.numeric.arrays import Array
-from sim.sample.diagnostics import FALSE_ALARMS
+from sim.sample.diagnostics import largest_by_chance
 
 BATCHES = 32
 """Smallest number of independent batches from which a standard error is estimated."""
@@ -209,8 +208,7 @@ def _band(errors: Any, sampled: Sequence[bool], count: int) -> tuple[Any, Any]:
     """
     chance = np.sqrt(sum(e**2 for e, s in zip(errors, sampled, strict=True) if s) + 0.0)
     stated = sum(e for e, s in zip(errors, sampled, strict=True) if not s) + 0.0
-    z = -float(stdtrit(BATCHES - 1, 0.5 * FALSE_ALARMS / count))
-    return z * chance + stated, chance + stated
+    return largest_by_chance(BATCHES, count) * chance + stated, chance + stated
 
 
 def density_distances(
@@ -236,7 +234,7 @@ def density_distances(
                 chance = np.hypot(chance, error)
             else:
                 stated += float(w @ error)
-        z = -float(stdtrit(BATCHES - 1, FALSE_ALARMS / len(windows)))
+        z = largest_by_chance(BATCHES, len(windows), sides=1)
         mean = np.sqrt(2.0 / np.pi) * float(w @ chance)
         dependent = max(1.0, x.size / INDEPENDENT)
         spread = np.sqrt((1.0 - 2.0 / np.pi) * dependent * float(np.sum((w * chance) ** 2)))

@@ -12,7 +12,6 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from cases.compare.compare import ROUND_OFF, Comparison, discrepancies, what_is_measured
 from cases.compare.quantity import UPCROSSING, Definition, definitions_of
@@ -24,7 +23,7 @@ from fpk.answer.quantities import ErrorKind, Number
 from fpk.answer.sampled_density import SampledDensity
 from fpk.numeric.errors import NotApplicable, NotCertified
 from fpk.system.system import System
-from sim.sample.diagnostics import FALSE_ALARMS
+from sim.sample.diagnostics import largest_by_chance
 
 
 @dataclass(frozen=True)
@@ -208,5 +207,5 @@ def reach_of(density: AnyDensity | None, number: Number, size: float, count: int
         return error + ROUND_OFF * value
     if error == 0.0:  # a stop beyond all samples: nothing is known
         return np.inf
-    z = -float(stdtrit(density.batch_values.shape[0] - 1, FALSE_ALARMS / (2 * count)))
+    z = largest_by_chance(density.batch_values.shape[0], count)
     return z * error + 2.0 * (z * error) ** 2 / max(value, size, error)

@@ -79,8 +79,9 @@ def displacement_row(observable: Observable) -> int:
     """Return the number, from 0, of the mass whose displacement ``observable`` is. Raises
     ``InvalidInput`` for any observable that is not one displacement."""
     require_observables([observable])
-    fits, words = len(observable) == 1 and observable[0].kind == "q", "is not a displacement"
-    require(fits, "observable", observable_name(observable), f"{words}; use q1, q2, ...")
+    fits = len(observable) == 1 and observable[0].kind == "q"
+    words = "is not a displacement; use q1, q2, ..."
+    require(fits, "observable", observable_name(observable), words)
     return observable[0].row
 
 

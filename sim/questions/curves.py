@@ -18,7 +18,7 @@ from fpk.numeric.errors import require
 from sim.questions.limits import Reach, longest_step, motion_step, needs_steps
 from sim.questions.passing import count_upcrossings
 from sim.questions.rounds import MOST_SUMS, Simulation, in_rounds
-from sim.sample.diagnostics import CHUNKS, drift_limit, drifts
+from sim.sample.diagnostics import CHUNKS, drifts, largest_by_chance
 from sim.sample.settings import Settings
 from sim.step.arrays import LANES, MAX_BATCHES
 from sim.step.step_size import contact_frequency, highest_frequency, relaxation_time
@@ -276,7 +276,7 @@ def sample_crossings(method: Settings, asked: Asked) -> Curve:
     else:
         # (levels, blocks, chunks)
         means = np.array(counts)[full, 0].T / (np.array(made)[full] * dt)
-        z, limit = np.abs(drifts(means)), drift_limit(means.shape[1], 2 * means.shape[0])
+        z, limit = np.abs(drifts(means)), largest_by_chance(means.shape[1], 2 * means.shape[0])
         if np.max(z) > limit:
             words = f"by {np.max(z):.1f} standard errors (chance explains {limit:.1f})"
             failures.append(f"the rates drift {words}; use a longer burn_in")

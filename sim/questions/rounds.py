@@ -137,7 +137,7 @@ def initial_states(
 
     check = watch.required("the burn-in") if watch else lambda share: False
     ended = lambda share: share < 1.0 and check(share)  # noqa: E731
-    other = (seed + number * int(GOLDEN) + 2**63) % 2**64  # differs from the seeds of all rounds
+    other = seed_of(seed + 2**63, number)  # differs from the seeds of all rounds
     begun = partial(ensemble_from, system, q, p, seed=other, workers=workers)
     dt, many = (chosen_step(system), (2,)) if needs_steps(system) else (inf, (1,))
     ((states,),) = motions(begun, q, states_of, np.array([time]), dt, many, lambda: ended)

@@ -201,12 +201,12 @@ def octiles(below: Integers) -> Integers:
     return np.asarray(cuts[(below[cuts] > 0) & (below[cuts] < below[-1])], dtype=np.int64)
 
 
-def drift_limit(batches: int, comparisons: int) -> float:
+def largest_by_chance(batches: int, comparisons: int, *, sides: int = 2) -> float:
     """Return the |z| that the largest of ``comparisons`` exceeds with probability ``FALSE_ALARMS``.
 
-    z is Student's t of ``batches`` − 1 degrees of freedom.
+    z is Student's t of ``batches`` − 1 degrees of freedom; of one of its ``sides`` z itself.
     """
-    return -float(stdtrit(batches - 1, 0.5 * FALSE_ALARMS / max(1, comparisons)))
+    return -float(stdtrit(batches - 1, FALSE_ALARMS / (sides * max(1, comparisons))))
 
 
 def diagnosis(
@@ -227,7 +227,7 @@ def diagnosis(
     tau = paths * time / (2.0 * samples) if samples > 0 else inf
     quantities, batches, chunks = means.shape
     z = np.abs(drifts(means)) if chunks > 1 else np.zeros((quantities, 2))
-    drift, limit = float(z.max()), drift_limit(batches, z.size)
+    drift, limit = float(z.max()), largest_by_chance(batches, z.size)
     failures = list[str]()
     if chunks < 2:
         failures.append("it ended in its first chunk, where no drift shows; sample for longer")

@@ -13,10 +13,10 @@ from fpk.answer.quantities import Number
 from sim.montecarlo import MonteCarlo
 from sim.sample.diagnostics import (
     diagnosis,
-    drift_limit,
     drifts,
     effective_of_paths,
     effective_of_shares,
+    largest_by_chance,
     moment_products,
     octiles,
     split_r_hat,
@@ -67,7 +67,7 @@ def test_split_r_hat_is_that_of_arviz() -> None:
 
 def test_drift_is_found_where_it_is_and_seldom_where_it_is_not() -> None:
     rng = np.random.default_rng(3)
-    limit = drift_limit(64, 20)
+    limit = largest_by_chance(64, 20)
     for _ in range(200):
         assert np.abs(drifts(rng.normal(size=(10, 64, 20)))).max() < limit
     # Student's t of 63 degrees of freedom has the variance 63/61; 2000 of them show it to 3 %.
