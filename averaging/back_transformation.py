@@ -9,8 +9,10 @@ import numpy as np
 from averaging.conditional import (
     HIDDEN_RULES,
     Conditional,
+    conditional,
     conditionals,
     contact_levels,
+    first_touch,
     gibbs_integral,
     hidden_integral,
     stop_panels,
@@ -177,21 +179,14 @@ def displacement_panels(system: System, mass: int, *, temperature: float, end: f
     graded beyond every stop of the mass, and about the displacements at which another mass, whose
     width given q_mass is smaller, has its conditional mean at one of its stops.
     """
-    compliance = system.compliance
-    own = float(compliance[mass, mass])
-    thermal = float(np.sqrt(own * temperature))
+    law, end_of_all = conditional(system, mass, ()), np.array([end])
+    thermal = float(np.sqrt(temperature / law.precision))
     levels = contact_levels(temperature, end)
     nodes = stop_panels(system, mass, width=thermal, end=end, levels=levels)
-    low, high, parts = nodes[0], nodes[-1], [nodes]
-    for stop in system.stops:
-        if stop.index == mass:
-            continue
-        # The displacement at which the conditional mean of the other mass is at its stop.
-        share = float(compliance[stop.index, mass]) / own
-        touch = stop.sign * stop.clearance / share
-        (other,) = conditionals(system, [mass, stop.index])[1:]
-        width = np.sqrt(temperature / other.precision) / share
-        if width < thermal:
-            steps = width * 2.0 ** np.arange(-1.0, ceil(np.log2(2.0 * (high - low) / width)))
-            parts.append(touch + np.concatenate([-steps, [0.0], steps]))
-    return np.unique(np.clip(np.concatenate(parts), low, high))
+    parts = [nodes]
+    for i in system.contact_masses:
+        other = conditional(system, i, (mass,))
+        # The width of the other mass, in displacements of this mass.
+        if np.sqrt(temperature / other.precision) < thermal * other.weights[0]:
+            parts.append(first_touch(law, other, np.zeros((0, 1)), end_of_all, temperature)[0])
+    return np.unique(np.clip(np.concatenate(parts), nodes[0], nodes[-1]))

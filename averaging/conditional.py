@@ -11,7 +11,7 @@ from math import ceil, exp, log2
 
 import numpy as np
 
-from fpk.numeric.arrays import DEPTH, ROUND_OFF, Array
+from fpk.numeric.arrays import DEPTH, EPS, ROUND_OFF, Array
 from fpk.numeric.piecewise import Piecewise, fit
 from fpk.numeric.quadrature import gauss_legendre
 from fpk.system.contact import Contact
@@ -90,14 +90,17 @@ def hidden_integral(
     end: float,
     points: int,
     beyond: Piecewise | None = None,
+    cuts: Array | None = None,
 ) -> Array:
-    """Return ∫ f(E + V(hidden | observed)) over up to two hidden displacements, (N,).
+    """Return ∫ f(E + V(hidden | observed)) over up to two hidden displacements, (N, ...).
 
     E = ``energy`` (N,) and the displacements ``given`` (observed, N) are of the observed masses;
     each of ``laws`` is the law of a hidden mass given these and the hidden masses before it. f
     falls by a factor e over ``temperature`` and is 0 beyond ``end``. Each panel has ``points``
     Gauss points. ``beyond``, a function of the last hidden displacement, multiplies f; None: 1.
-    Without ``laws`` the result is f(E), and ``beyond`` has no effect.
+    Panels of one hidden displacement end also where E + V is one of the energies ``cuts``.
+    Without ``laws`` the result is f(E), and ``beyond`` has no effect. f maps energies (points,) to
+    values (points, ...).
     """
     if not laws:
         return f(energy)
@@ -108,15 +111,17 @@ def hidden_integral(
     levels = contact_levels(temperature, end)
     stops = [[beyond_stop(stop, levels)[None] for stop in law.stops] for law in laws]
     # Estimate of the size: about 30 panels of each hidden mass have a positive length.
-    chunks = distinct.shape[1] * (30 * points) ** len(laws) // CACHED_POINTS + 1
+    panels = 30 + (0 if cuts is None else 2 * cuts.size)
+    chunks = distinct.shape[1] * (panels * points) ** len(laws) // CACHED_POINTS + 1
     parts = []
     for E, *Q in np.array_split(distinct, min(chunks, distinct.shape[1]), axis=1):
         size = E.size
         row, weight, q = np.arange(size), np.ones(size), np.reshape(Q, (-1, size))
         for k, law in enumerate(laws):
             mean, height = law.weights @ q, np.maximum(end - E, DEPTH * temperature)
-            layers = [_first_touch(law, other, q, height, temperature) for other in laws[k + 1 :]]
+            layers = [first_touch(law, other, q, height, temperature) for other in laws[k + 1 :]]
             layers += [] if beyond is None else [beyond.nodes[None]]
+            layers += [] if cuts is None else [_displacements_at(law, E, mean, cuts)]
             # Uniform panels cover the deviations from the mean that the springs alone allow.
             reach = np.sqrt(2.0 * height / law.precision)[:, None]
             uniform = mean[:, None] + reach * shares
@@ -129,9 +134,32 @@ def hidden_integral(
             at = np.repeat(at, points)
             E, q = E[at] + law.energy(new, mean[at]), np.vstack([q[:, at], new])
             row, weight = row[at], weight[at] * (half * w).ravel()
-        weight = weight * f(E) if beyond is None else weight * f(E) * beyond(q[-1])
-        parts.append(np.bincount(row, weight, minlength=size))
+        weight = weight if beyond is None else weight * beyond(q[-1])
+        values = np.einsum("m,m...->m...", weight, f(E))
+        parts.append(np.add.reduceat(values, np.searchsorted(row, np.arange(size))))
     return np.asarray(np.concatenate(parts)[index.ravel()])
+
+
+def _displacements_at(law: Conditional, energy: Array, mean: Array, totals: Array) -> Array:
+    """Return q (N, 2 totals), left and right of the minimum of V, where E + V is one of ``totals``.
+
+    E is ``energy`` (N,), V(q) the potential of ``law`` about ``mean`` (N,). Where E is above one of
+    ``totals``, the q are at the minimum.
+    """
+    halvings = ceil(-log2(EPS))
+    reach = np.sqrt(2.0 * np.maximum(totals[-1] - energy, 0.0) / law.precision)
+    low, high = mean - reach, mean + reach
+    for _ in range(2 * halvings):
+        third = (high - low) / 3.0
+        falls = law.energy(low + third, mean) > law.energy(high - third, mean)
+        low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
+    outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(totals.size)
+    inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
+    for _ in range(halvings):
+        middle = 0.5 * (inside + outside)
+        below = energy[:, None] + law.energy(middle, mean[:, None]) < totals
+        inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
+    return np.hstack(list(outside))
 
 
 def gibbs_integral(
@@ -198,7 +226,7 @@ def gibbs_integral(
     return value, total
 
 
-def _first_touch(
+def first_touch(
     law: Conditional, other: Conditional, given: Array, height: Array, temperature: float
 ) -> Array:
     """Return panel ends (N, ends) about the q at which ``other`` has its mean at one of its stops.

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from averaging.back_transformation import reduction
-from averaging.conditional import HIDDEN_RULES, Conditional
+from averaging.conditional import HIDDEN_RULES, hidden_integral
 from averaging.modal.analysis import ModalAnalysis
 from averaging.weyl import weyl_integral
 from averaging.zero_flux import ENERGY_RULES
@@ -22,10 +22,10 @@ from fpk.answer.certificate import DISTANCE_FACTOR, certify
 from fpk.answer.dynamics import Transient
 from fpk.answer.names import Limit, Observable, number_text, observable_name
 from fpk.answer.question import Asked
-from fpk.numeric.arrays import BLOCK_SIZE, EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.arrays import DEPTH, EPS, ROUNDINGS, SMALLEST, Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.piecewise import Piecewise, legendre_coefficients
-from fpk.numeric.quadrature import gauss_legendre, panel_rule
+from fpk.numeric.quadrature import panel_rule
 from fpk.solvers.line.mesh import with_layers
 from fpk.solvers.line.time.transition import Transition
 
@@ -34,9 +34,6 @@ MODAL_TOL = 1e-8
 ERROR_POINTS = 4
 """Gauss points per panel of the integral of the error of Ψ over a hidden displacement: few, as the
 error is an estimate."""
-STOP_LAYERS = np.append(4.0 ** -np.arange(9.0), 0.0)
-"""Ends of panels beyond a stop: overlaps over the overlap at the end of the range, geometric since
-the integrand contains overlap^2.5 next to a Hertz stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,10 +225,21 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
     order, log_factor, laws, observed = reduction(system, observable, hidden, unit)
     psi = WeylInTime(solved, order)
     Q, energy = observed(at)
-    if hidden:
-        values, errors, rule_error = _over_hidden(psi, laws[0], energy, Q)
-    else:
-        values, errors, rule_error = psi(energy), psi.error(energy), np.zeros(1)
+    end = float(psi.nodes[-1])
+    over_hidden = partial(
+        hidden_integral,
+        energy=energy,
+        given=Q,
+        laws=laws,
+        temperature=end / DEPTH,
+        end=end,
+        cuts=psi.nodes,
+    )
+    coarse, values = (over_hidden(psi, points=points) for points in HIDDEN_RULES[1])
+    rule_error = np.abs(values - coarse)
+    errors = over_hidden(psi.error, points=ERROR_POINTS) + rule_error
+    if hidden:  # a bound of the integral beyond the panels, where E + V is above the last energy
+        errors = errors + np.sqrt(2.0 * end / laws[0].precision) * psi.error(np.array([end]))
     factor = float(np.exp(log_factor))
     highest = max(float(np.max(np.abs(values), initial=0.0)), SMALLEST)
     # Volume of the observed coordinates up to the last energy; times the largest error of the rule
@@ -251,62 +259,3 @@ def state_transient(solved: Transition, asked: Asked) -> Transient:
     numbers = factor * values.T, factor * errors.T + SMALLEST
     certificate = certify(measured, tol=asked.tol)
     return Transient(asked.times, *numbers, "numerical", certificate, solved.settings)
-
-
-def _over_hidden(
-    psi: WeylInTime, law: Conditional, energy: Array, given: Array
-) -> tuple[Array, Array, Array]:
-    """Return ∫Ψ(E + V(hidden | observed)), its whole error, and its error by the Gauss rule alone.
-
-    Each is (points, times). E is ``energy`` (points,), ``law`` the law of the hidden displacement
-    given the observed displacements ``given`` (observed, points).
-    """
-    mean = law.weights @ given if given.size else np.zeros(energy.size)
-    # Bounds the integral beyond the panels, where E + V is above the last energy.
-    beyond = np.sqrt(2.0 * psi.nodes[-1] / law.precision) * psi.error(psi.nodes[-1:])
-    size = max(1, BLOCK_SIZE // (2 * psi.nodes.size**2 * ERROR_POINTS))
-    parts = []
-    for start in range(0, energy.size, size):
-        E, m = energy[start : start + size], mean[start : start + size]
-        nodes = _hidden_nodes(psi.nodes, law, E, m)
-        half = 0.5 * np.diff(nodes, axis=1)[..., None]
-        answers = []
-        for points in (*HIDDEN_RULES[1], ERROR_POINTS):
-            t, w = gauss_legendre(points)
-            q = nodes[:, :-1, None] + half * (1.0 + t)
-            total = E[:, None, None] + law.energy(q, m[:, None, None])
-            f = psi.error if points == ERROR_POINTS else psi
-            answers.append(np.einsum("xkg,xkgt->xt", half * w, f(total)))
-        coarse, fine, error = answers
-        parts.append((fine, error + beyond, np.abs(fine - coarse)))
-    values, errors, rule = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return values, errors + rule, rule
-
-
-def _hidden_nodes(energies: Array, law: Conditional, energy: Array, mean: Array) -> Array:
-    """Return nodes (points, nodes) of the hidden displacement where E + V is one of ``energies``.
-
-    Further nodes are at the stops and in layers beyond. E is ``energy`` (points,), ``mean``
-    (points,) the mean of ``law``. Panels beyond the last of ``energies`` have length 0.
-    """
-    halvings = math.ceil(-math.log2(EPS))
-    reach = np.sqrt(2.0 * np.maximum(energies[-1] - energy, 0.0) / law.precision)
-    low, high = mean - reach, mean + reach
-    for _ in range(2 * halvings):
-        third = (high - low) / 3.0
-        falls = law.energy(low + third, mean) > law.energy(high - third, mean)
-        low, high = np.where(falls, low + third, low), np.where(falls, high, high - third)
-    # On the left and on the right of the minimum of V: (sides, points, energies).
-    outside = np.stack([mean - reach, mean + reach])[..., None] + np.zeros(energies.size)
-    inside = 0.5 * (low + high)[:, None] + np.zeros(outside.shape)
-    for _ in range(halvings):
-        middle = 0.5 * (inside + outside)
-        below = energy[:, None] + law.energy(middle, mean[:, None]) < energies
-        inside, outside = np.where(below, middle, inside), np.where(below, outside, middle)
-    ends = outside[..., -1:]
-    layers = [np.empty((energy.size, 0))]
-    for stop in law.stops:
-        at = stop.sign * stop.clearance
-        beyond = at + (ends[int(stop.sign > 0.0)] - at) * STOP_LAYERS
-        layers.append(np.clip(beyond, *ends))
-    return np.sort(np.hstack([*outside, *layers]), axis=1)

@@ -14,10 +14,17 @@ from averaging.modal.observables import state_density
 from averaging.time import EnergyStart, modal_limits, modes_of_observable
 from fpk.answer.certificate import Measured
 from fpk.answer.density import Density, certify_density
-from fpk.answer.dynamics import LARGEST_ERROR, Passage, Rates, Transient, require_times
+from fpk.answer.dynamics import (
+    LARGEST_ERROR,
+    Passage,
+    Rates,
+    Transient,
+    require_times,
+    transient_of,
+)
 from fpk.answer.names import Coordinate
 from fpk.answer.question import Asked
-from fpk.numeric.arrays import ROUNDINGS, SMALLEST, Array
+from fpk.numeric.arrays import ROUNDINGS, Array
 from fpk.numeric.errors import NotApplicable
 from fpk.solvers.plane.solution import PlaneSolution
 from fpk.solvers.plane.stationary import solve_plane
@@ -151,14 +158,10 @@ def _pair_state_transient(modes: ModalAnalysis, asked: Asked) -> Transient:
             added_error=lambda p, *H: pointwise(*H),
         )
 
-    values, errors = np.empty((2, times.size, at[0].size))
-    densities = []
+    densities, points = list[Density](), []
     for k, t in enumerate(times.tolist()):
         group = energies(k, t)
         densities.append(state_density(modes, [group], asked.observable, tol=tol))
-        values[k], errors[k] = densities[k].at(*at)
-        errors[k] = errors[k] if group.l1_error <= LARGEST_ERROR else np.inf
-    worst = max(densities, key=lambda d: (not d.certificate.certified, d.l1_error))
-    return Transient(
-        times, values, errors + SMALLEST, "numerical", worst.certificate, answer.settings
-    )
+        p, error = densities[k].at(*at)
+        points.append((p, error if group.l1_error <= LARGEST_ERROR else np.full(p.shape, np.inf)))
+    return transient_of(times, densities, points, tol=tol, settings=answer.settings)
