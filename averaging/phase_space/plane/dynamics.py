@@ -11,25 +11,25 @@ from averaging.phase_space.dynamics import elimination_cost
 from averaging.phase_space.equation.elimination import Solve, Step
 from averaging.phase_space.marginals import moments
 from averaging.phase_space.plane.elements import Elements, assemble_backward, factorise_sparse
-from averaging.phase_space.plane.mesh import energy_mesh
-from averaging.phase_space.plane.oscillator import HIGHER, TRIALS, Oscillator, rarest_energy
+from averaging.phase_space.plane.mesh import Mesh
+from averaging.phase_space.plane.oscillator import Oscillator, rarest_energy
 from averaging.phase_space.plane.stationary import (
     BYTES,
     OPERATIONS,
     OUTFLOW,
     PlaneState,
     stationary_state,
+    uniform_solutions,
 )
 from averaging.phase_space.refinement import Ladder, Options, ladder_of
 from averaging.phase_space.resolvent import Generator, generators, without_mass
 from fpk.answer.names import Observable
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import NotCertified
 from fpk.numeric.machine import usable_cores
 
-PANELS, MORE = 3, 4.0 / 3.0
-"""Panels between rest and the largest speed on the first mesh; ratio of the numbers of panels of
-successive meshes: the least by which three become four."""
+PANELS, FINER = 3, 0.75
+"""Panels between rest and the largest speed on the first mesh; ratio of the lengths of panels of
+successive meshes: the largest by which three become four."""
 KICKS = 8.0
 """Largest panel of the first mesh over the velocity change by noise in half a period: with 16, at a
 damping ratio of 0.0025, an error of a spectrum was 20 times the stated one, on the next meshes 0.5
@@ -39,34 +39,28 @@ times."""
 def uniform_ladder(
     o: Oscillator, observables: Sequence[Observable], options: Options
 ) -> Iterator[Ladder]:
-    """Yield ladders of solutions on finer meshes; the last is yielded again with its ``limit``.
+    """Yield ladders of ``uniform_solutions``; the last is yielded again with its ``limit``.
 
-    All panels become shorter: what decays may vary where the density does not. Energies end where
-    so little passes that no answer feels it, and higher on each finer mesh. Raises ``NotCertified``
-    if the density does not fall with the energy.
+    Energies end where so little passes that no answer feels it.
     """
+
+    def solved(mesh: Mesh) -> tuple[PlaneState, bool]:
+        e = stationary_state(mesh)
+        return e, abs(e.outflow) > OUTFLOW * o.frequency
+
     top = rarest_energy(o)
-    highest, level = top * HIGHER**TRIALS, 0
     swift, reach = np.sqrt(2.0 * top / o.mass), o.turning_point(top, 1.0)
-    first = min(1.0 / PANELS, KICKS * o.kick(reach) / swift)
+    panel = min(1.0 / PANELS, KICKS * o.kick(reach) / swift)
     coarser: PlaneState | None = None
     ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
-        while True:
-            finest = stationary_state(energy_mesh(o, top, level, first * MORE**-level))
-            if abs(finest.outflow) > OUTFLOW * o.frequency:
-                top *= HIGHER
-                if top > highest:
-                    raise NotCertified("the density does not fall with the energy")
-                continue
+        for finest, limit in uniform_solutions(o, top, (panel, FINER), solved, options):
             if coarser is not None:
                 ladder = ladder_of(finest, coarser, observables, ladder)
                 yield ladder
-                size, work = elimination_cost(finest, float)
-                if limit := options.refusal(MORE**2 * size, MORE**2 * work):
+                if limit:
                     yield replace(ladder, limit=limit)
-                    return
-            coarser, level, top = finest, level + 1, HIGHER ** (1.0 / TRIALS) * top
+            coarser = finest
 
 
 @moments.register

@@ -28,11 +28,10 @@ elimination order, but let entries grow."""
 LARGEST_RESIDUAL = 1e-10
 """Residual of a solution, relative to the terms that cancel in it, above which the elimination is
 repeated with the next of ``PIVOTS``: small pivots have let the entries of the factors grow."""
-CONVERGED, MOST_ITERATIONS = 1e-11, 60
-"""Change of the slowest density by an inverse iteration at which these end, and their number: each
-divides the other densities by the ratio of their rate to the least rate."""
+MOST_ITERATIONS = 60
+"""Largest number of restarts of Arnoldi's method for the slowest density."""
 RELIABILITY_SHARE = 0.05
-"""Largest change of the reliability by the last Krylov vectors over the tolerance; 0.01 takes a
+"""Largest change of an answer in time by the last Krylov vectors over its tolerance; 0.01 takes a
 third longer."""
 
 
@@ -125,26 +124,19 @@ class Elements:
         """The least eigenvalue of −L and the coefficients (unknowns,) of its density.
 
         The eigenvalue is the failure rate, outflow over mass; the mass of the density is 1. It is
-        found by inverse iteration from the weight, or by Arnoldi's method if other rates are close.
-        Raises ``NotCertified`` where they are so close that it is not found.
+        found by Arnoldi's method from the weight. Raises ``NotCertified`` where other rates are so
+        close that it is not found.
         """
-        density = self.one
-        for _ in range(MOST_ITERATIONS):
-            before, density = density, self.factors.solve(self.M.T @ density, "T")
-            density /= density @ self.load
-            if np.max(np.abs(density - before)) <= CONVERGED * np.max(np.abs(density)):
-                break
-        else:
-            inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
-            options: dict[str, Any] = {"v0": self.load, "ncv": min(12, self.load.size - 1)}
-            options["maxiter"] = MOST_ITERATIONS
-            try:
-                _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
-            except ArpackNoConvergence:
-                words = "rates lie too close together, as those of a weak spring do; use montecarlo"
-                raise NotCertified(f"the failure rate is not found: {words}") from None
-            density = np.real(y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0])
-            density /= density @ self.load
+        inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
+        options: dict[str, Any] = {"v0": self.one, "ncv": min(12, self.load.size - 1)}
+        options["maxiter"] = MOST_ITERATIONS
+        try:
+            _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
+        except ArpackNoConvergence:
+            words = "rates lie too close together, as those of a weak spring do; use montecarlo"
+            raise NotCertified(f"the failure rate is not found: {words}") from None
+        density = np.real(y[:, 0] / y[np.argmax(np.abs(y[:, 0])), 0])
+        density /= density @ self.load
         # Refined: solutions of nearly singular equations have a residual.
         for _ in range(2):
             residual = self.K.T @ density - (density @ self.exit) * (self.M.T @ density)
@@ -177,41 +169,61 @@ class Elements:
         mass = factors.solve(start, "T") @ (sigma * (self.M @ self.one) + self.exit)
         return abs(float(mass - start @ self.one))
 
-    def failure(self, start: Array, times: Array, *, tol: float) -> tuple[Array, Array]:
-        """Return P(T <= t) and its change by the last Krylov vectors at ascending ``times`` > 0.
+    def in_time(
+        self,
+        initial: Array,
+        source: Array,
+        first: Array,
+        times: Array,
+        *,
+        tol: float,
+        trans: str = "N",
+        seen: Array | None = None,
+    ) -> tuple[Array, Array]:
+        """Return u of M u' = −K u + ``source``, M u(0) = ``initial``, at ascending ``times`` > 0.
 
-        ``start`` is the functional of the initial state. M F' = −K F + exit, F(0) = 0, is solved by
-        Galerkin's method on the Krylov space of (K + σM)⁻¹M and the function 1, orthonormal in M,
-        which grows until the last change is below ``RELIABILITY_SHARE`` times ``tol`` times the
-        largest probability, or has ``VECTORS`` vectors. At H = E, where there are no unknowns,
-        F = 1, which adds a constant.
+        The result is u (times, unknowns), or its functional ``seen`` (times,), and the change by
+        the last Krylov vectors (times,): for u the bound ‖u − u'‖_M (∫ exp(−Ψ))^½ of ∫|p − p'| by
+        Cauchy and Schwarz. Galerkin's method is used on the space of (K + σM)⁻¹M and ``first``,
+        orthonormal in M, with Kᵀ and Mᵀ if ``trans`` is "T". It grows until the last change is
+        below ``RELIABILITY_SHARE`` times ``tol`` and the one before below ``tol``, times the
+        largest value, at most 1, or until there are ``VECTORS`` vectors.
         """
-        at_limit = 1.0 - float(start @ self.one)
-        last = np.full(times.size, np.inf)
-        change = before = last
-        images = np.zeros((0, start.size))
-        solve, M = self.shifted[1].solve, self.M
-        spaces = krylov(lambda x: solve(M @ x), self.one[:, None], VECTORS, metric=M.__matmul__)
+        K, M = (self.K, self.M) if trans == "N" else (csc_array(self.K.T), csc_array(self.M.T))
+        solve, scale = self.shifted[1].solve, float(np.sqrt(self.one @ self.load))
+        change = before = np.full(times.size, np.inf)
+        images, last = np.zeros((0, first.size)), np.zeros((times.size, 1))
+        spaces = krylov(lambda x: solve(M @ x, trans), first[:, None], VECTORS, metric=M.__matmul__)
         for V, _, closed in spaces:
             if len(V) % EVERY and not closed:
                 continue
-            images = np.vstack([images, (self.K @ V[len(images) :].T).T])
-            m, values, g = len(V), np.empty(times.size), V @ start
-            # g'F with F' = −H F + source, F(0) = 0, from each time to the next.
-            system = np.zeros((m + 1, m + 1))
-            system[:m, :m], system[:m, m] = -V @ images.T, V @ self.exit
-            F, now, step, propagator = np.eye(m + 1)[m], 0.0, 0.0, system
-            for k, t in enumerate(times):
-                if k == 0 or abs(t - now - step) > 1e-13 * t:
-                    step = t - now
-                    propagator = expm(step * system)
-                F, now = propagator @ F, t
-                values[k] = at_limit + g @ F[:m]
-            before, change, last = change, np.abs(values - last), values
-            enough = tol * min(1.0, float(np.max(np.abs(values))))
+            images = np.vstack([images, (K @ V[len(images) :].T).T])
+            system = np.pad(-V @ images.T, (0, 1))
+            system[:-1, -1] = V @ source
+            read = scale * np.eye(len(V), VECTORS) if seen is None else (V @ seen)[:, None]
+            # Damping terms can let small spaces grow where the density does not.
+            with np.errstate(over="ignore", invalid="ignore"):
+                y = _flow(system, np.append(V @ initial, 1.0), times)[:, :-1]
+                now = y @ read
+                moved, size = (np.linalg.norm(x, axis=1) for x in (now - last, now))
+            before, change, last = change, np.where(np.isfinite(moved), moved, np.inf), now
+            enough = tol * min(1.0, float(size.max()))
             if np.max(change) <= RELIABILITY_SHARE * enough and np.max(before) <= enough:
                 break
-        return last, np.maximum(change, RELIABILITY_SHARE * before)
+        u = y @ V if seen is None else now[:, 0]
+        return u, np.maximum(change, RELIABILITY_SHARE * before)
+
+
+def _flow(A: Array, x: Array, times: Array) -> Array:
+    """Return e^(At) ``x`` (times, m) at ascending ``times``; equal steps share an exponential."""
+    now, step, propagator, out = 0.0, 0.0, A, list[Array]()
+    for t in times.tolist():
+        if not out or abs(t - now - step) > 1e-13 * t:
+            step = t - now
+            propagator = expm(step * A)
+        x, now = propagator @ x, t
+        out.append(x)
+    return np.array(out)
 
 
 def panel_functions(

@@ -1,7 +1,5 @@
 """First passage of one mass, on successive meshes until two of them agree."""
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +16,9 @@ from averaging.phase_space.plane.oscillator import (
     Oscillator,
     States,
     averaged_fall,
-    orbit,
     oscillator_of,
-    require_start,
     require_total,
+    start_states,
 )
 from fpk.answer.certificate import DISTANCE_FACTOR, tolerance
 from fpk.answer.dynamics import Passage, certify_passage, require_times
@@ -58,17 +55,9 @@ def phase_space_passage(asked: Asked) -> Passage:
     times, o = require_times(asked.times), oscillator_of(asked.system)
     limit, start = asked.limit, asked.start
     require_total("limit", limit, asked.system)
-    require_start(start, asked.system)
     of_energy = limit.of_energy
-    states: Callable[[int], States]
-    if start.kind in ("energy", "modal") and not start.rest:
-        (energy,) = start.values.values()
-        states = partial(orbit, o, energy, None if of_energy else limit)
-    else:
-        q, p = start.state(1)
-        energy = float(o.energy(q, p / o.mass)[0])
-        past = not of_energy and limit.distance(q, p / o.mass) <= 0.0
-        states = lambda points: (q, p / o.mass, np.ones(0 if past else 1))  # noqa: E731
+    within = None if of_energy else limit
+    energy, states = start_states(o, start, asked.system, within)
     top = limit.value if of_energy else min(H for _, H in o.ends_of(limit))
     if (of_energy and energy >= (1.0 - ROUND_OFF) * top) or not states(1)[2].size:
         raise InvalidInput("start", str(start), "is at or beyond the limit")
@@ -137,7 +126,10 @@ def _level_results(
     own = float(start @ e.mean)
     failure, krylov = np.full(times.size, 1.0 - float(states[2].sum())), np.zeros(times.size)
     if np.any(later):
-        failure[later], krylov[later] = e.failure(start, times[later], tol=tol)
+        # M F' = −K F + exit, F(0) = 0; at H = E, where there are no unknowns, F = 1.
+        given = 0.0 * start, e.exit, e.one, times[later]
+        F, krylov[later] = e.in_time(*given, tol=tol, seen=start)
+        failure[later] = F + (1.0 - float(start @ e.one))
     others = [e.at(q[None], v[None], np.ones(1)) @ e.mean for q, v in zip(*probes, strict=True)]
     settings = {
         "equation": "(6)",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, log, pi, sqrt
 
 import numpy as np
@@ -143,13 +144,6 @@ def oscillator_of(system: System) -> Oscillator:
     )
 
 
-def require_start(start: Start, system: System) -> None:
-    """Raise ``NotApplicable`` for a stationary ``start``, and as ``require_total``."""
-    if start.kind == "noise" and start.values["noise"] > 0.0:
-        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
-    require_total("start", start, system)
-
-
 def require_total(what: str, given: Start | Limit, system: System) -> None:
     """Raise ``NotApplicable`` if ``given`` is of a mode's energy and there are stops.
 
@@ -189,6 +183,26 @@ def orbit(o: Oscillator, energy: float, within: Limit | None, points: int) -> St
         return q, v, weights
     inside = within.distance(q[:, None], v[:, None]) > 0.0
     return q[inside], v[inside], weights[inside]
+
+
+def start_states(
+    o: Oscillator, start: Start, system: System, within: Limit | None = None
+) -> tuple[float, Callable[[int], States]]:
+    """Return the energy of ``start``, and its states by the number of ``points``, see ``orbit``.
+
+    A state, or rest, is one state of the weight 1, none if it is not ``within`` a limit of q or v.
+    Raises ``NotApplicable`` for a stationary start, and as ``require_total``.
+    """
+    if start.kind == "noise" and not start.rest:
+        raise NotApplicable("a stationary start is not solved for in phase space; use montecarlo")
+    require_total("start", start, system)
+    if start.kind in ("energy", "modal") and not start.rest:
+        (energy,) = start.values.values()
+        return energy, partial(orbit, o, energy, within)
+    q, p = start.state(1)
+    v = p / o.mass
+    past = within is not None and within.distance(q, v) <= 0.0
+    return float(o.energy(q, v)[0]), lambda points: (q, v, np.ones(0 if past else 1))
 
 
 def averaged_fall(o: Oscillator, top: float) -> Polynomial:

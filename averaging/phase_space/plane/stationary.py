@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
+from typing import TypeVar
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -29,6 +30,7 @@ from averaging.phase_space.refinement import (
 )
 from fpk.answer.names import Observable
 from fpk.numeric.arrays import Array
+from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 MOST_POINTS = 1_000_000
@@ -46,6 +48,9 @@ OUTFLOW = 1e-10
 """Largest probability that may pass the limit of the energy."""
 RESOLVED = 0.1
 """Largest unresolved part of a density whose square bounds the error of its outflow."""
+
+
+Solution = TypeVar("Solution")
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,6 +246,35 @@ def plane_ladder_of(
         ladder.errors[one] = share * own + DENSITY_ROUND_OFF + added + finest.lost
         ladder.factors[one] = max(ladder.errors[one] / own, 1.0) if own > 0.0 else 0.0
     return ladder
+
+
+def uniform_solutions(
+    o: Oscillator,
+    top: float,
+    panels: tuple[float, float],
+    solve: Callable[[Mesh], tuple[Solution, bool]],
+    options: Options,
+) -> Iterator[tuple[Solution, str]]:
+    """Yield solutions on finer meshes, and why there is no finer one, "" if there is.
+
+    All panels become shorter: what changes in time may vary where the stationary density does not.
+    ``panels`` are their first length over the largest speed, and the ratio of successive lengths.
+    Energies end at ``top``, or higher if ``solve`` says that too much passes there, and higher on
+    each finer mesh. Raises ``NotCertified`` if too much passes at ``HIGHER`` to the power
+    ``TRIALS`` of ``top``.
+    """
+    highest, level, limit, (first, finer) = top * HIGHER**TRIALS, 0, "", panels
+    while not limit:
+        mesh = energy_mesh(o, top, level, first * finer**level)
+        solution, passes = solve(mesh)
+        if not passes:
+            size = mesh.unknowns / finer**2
+            limit = options.refusal(BYTES * size, OPERATIONS * size) if level else ""
+            yield solution, limit
+            level += 1
+        elif top > highest:
+            raise NotCertified("the density does not fall with the energy")
+        top *= HIGHER if passes else HIGHER ** (1.0 / TRIALS)
 
 
 def plane_ladder(
