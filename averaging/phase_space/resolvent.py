@@ -17,10 +17,10 @@ from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.chain import Chain, chain_of
 from averaging.phase_space.equation.degrees import combination
 from averaging.phase_space.equation.elimination import Expansion, Solve, Step, eliminate
-from averaging.phase_space.krylov import EVERY, RESIDUAL, VECTORS, krylov
 from averaging.phase_space.marginals import linear_form, moments
 from fpk.answer.names import Coordinate
 from fpk.numeric.arrays import EPS, Array, Complexes
+from fpk.numeric.krylov import EVERY, RESIDUAL, VECTORS, krylov
 
 BLOCK = 4
 """Number of random vectors that a space begins with; an eigenvalue of higher multiplicity occurs

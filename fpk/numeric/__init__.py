@@ -1,1 +1,1 @@
-"""Arrays, piecewise polynomials, quadrature, compiling, and the resources of the machine."""
+"""Arrays, piecewise polynomials, quadrature, Krylov spaces, compiling, resources of the machine."""

@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from averaging.phase_space.equation.degrees import Degrees
 from averaging.phase_space.equation.frame import POWER, Frame, Reference
-from averaging.phase_space.krylov import krylov
 from fpk.numeric.arrays import SMALLEST, Array
+from fpk.numeric.krylov import krylov
 from fpk.numeric.quadrature import gauss_legendre
 
 SUPPORT_DEPTH = 75.0

@@ -15,8 +15,8 @@ from averaging.phase_space.equation.basis import Basis, basis
 from averaging.phase_space.equation.chain import Chain, chain_of, places
 from averaging.phase_space.equation.degrees import Degrees, Space, space_to
 from averaging.phase_space.equation.frame import Frame, Reference
-from averaging.phase_space.krylov import RESIDUAL
 from fpk.numeric.arrays import ROUND_OFF, Array, Integers
+from fpk.numeric.krylov import RESIDUAL
 
 ELIMINATED_IN: type = np.float32
 """Type of the numbers of the first elimination; double precision follows if it is too coarse."""

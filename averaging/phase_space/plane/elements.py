@@ -11,11 +11,11 @@ from scipy.linalg import expm
 from scipy.sparse import coo_array, csc_array, csr_array, eye_array, kron
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, splu
 
-from averaging.phase_space.krylov import EVERY, VECTORS, krylov
 from averaging.phase_space.plane.mesh import Mesh
 from averaging.phase_space.plane.oscillator import weighted
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import NotCertified
+from fpk.numeric.krylov import EVERY, VECTORS, krylov
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
 
 POINTS = 3
