@@ -1,78 +1,21 @@
 """The functions of ``import fpk`` that need all rooms: load, solve, compare, plot."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from cases.compare.answers import Answers
 from cases.compare.compare import Comparison
 from cases.compare.routes import all_methods, method_for
 from cases.compare.stationary import answers_of, joint_at_stops
 from cases.scene.scene import load_scene
-from fpk.answer.density import AnyDensity
+from cases.show.presented import PresentedAnswers, plot
 from fpk.answer.method import Method
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.system.system import System
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pandas import DataFrame
-    from xarray import Dataset
+__all__ = ["compare", "load", "plot", "solve"]
 
 load = load_scene
-
-
-@dataclass(frozen=True, repr=False)
-class PresentedAnswers(Answers):
-    """``Answers`` as ``fpk.solve`` returns them: also as a data frame, labelled arrays, a figure.
-
-    ::
-
-        answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
-        answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
-        answers.summary(), answers.to_xarray(), answers.plot("q2")
-    """
-
-    def summary(self) -> "DataFrame":
-        """Return the quantities as a data frame: rows by observable and quantity.
-
-        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
-        ``sampling`` for one standard error. Needs pandas; raises ``Unavailable`` without. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
-        """
-        frame: DataFrame = _presentation_module().summary_frame(self)
-        return frame
-
-    def to_xarray(self) -> "Dataset":
-        """Return the densities and their errors on common grids, as in the file of a run.
-
-        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
-        ``error_kind_q2`` says. Needs xarray; raises ``Unavailable`` without. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
-        """
-        data: Dataset = _presentation_module().dataset(self)
-        return data
-
-    def plot(self, observable: str, *, log: bool = False) -> "Figure":
-        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
-
-        Contours for a pair. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
-        to 1e-3. Raises ``InvalidInput`` for an observable without a density. ::
-
-            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
-        """
-        figure: Figure = _presentation_module().plot(
-            self, parse_observable(observable, self.system.n), log=log
-        )
-        return figure
-
-    def _repr_html_(self) -> str:
-        """Return the quantities as tables, for a notebook."""
-        return str(_presentation_module().html_tables(self))
 
 
 def solve(
@@ -126,18 +69,6 @@ def solve(
     return PresentedAnswers(system, tuple(results))
 
 
-def plot(density: AnyDensity, *, log: bool = False) -> "Figure":
-    """Return a figure of pyplot with one density and its error.
-
-    A density of two coordinates is drawn as contours; ``log``: on a logarithmic scale. ::
-
-        answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
-        fpk.plot(answers["q2,p2"], log=True)
-    """
-    figure: Figure = _presentation_module().plot_density(density, log=log)
-    return figure
-
-
 def compare(answers: Answers) -> tuple[Comparison, ...]:
     """Return the differences of all pairs of densities of one observable, and which error each is.
 
@@ -148,8 +79,3 @@ def compare(answers: Answers) -> tuple[Comparison, ...]:
             print(c.a.label, c.b.label, c.measures, c.L1, c.band)
     """
     return answers.comparisons
-
-
-def _presentation_module() -> Any:
-    """Import, at the first call only, and return the module that draws and tabulates answers."""
-    return import_module("cases.show.presented")

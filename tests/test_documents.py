@@ -15,7 +15,6 @@ from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement, resolvent
 from averaging.phase_space.plane import elements, first_passage
 from averaging.time import MODAL_TOL
-from cases.api import PresentedAnswers
 from cases.command import studies
 from cases.command.app import app
 from cases.compare import answering, claims, doubt, quantity
@@ -23,6 +22,7 @@ from cases.compare.routes import all_routes
 from cases.scene import schema
 from cases.show import facts
 from cases.show.pictures import densities
+from cases.show.presented import PresentedAnswers
 from cases.study import converge, cost, levels, orders
 from cases.study.orders import grid_convergence
 from cases.study.sweep import answering as sweep_answering

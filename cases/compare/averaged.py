@@ -7,7 +7,6 @@ without using them.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf
 from typing import Any, Self
 
 import numpy as np
@@ -18,11 +17,12 @@ from fpk.answer.method import ROUTES, Method, Plan, Progress, Result, Route, reg
 from fpk.answer.names import Coordinate, Limit, Observable, Start, observable_name
 from fpk.answer.question import Asked, answer
 from fpk.numeric.arrays import Array
-from fpk.numeric.errors import NotApplicable, require
+from fpk.numeric.errors import NotApplicable
 from fpk.system.escape import require_held
 from fpk.system.linear import modal_energies
 from fpk.system.process import Process
 from fpk.system.system import System
+from sim.sample.settings import check_settings
 
 STEP = 0.1
 """Default step in units of the fastest relaxation time; motion in time also runs at half of it."""
@@ -52,11 +52,8 @@ class AveragedSimulation(Method):
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        """Check seed, step, threads, tolerance and seconds."""
-        require(0 <= self.seed < 2**64, "seed", self.seed, "use an integer from 0 to 2**64 - 1")
-        for key in ("step", "threads", "tol", "seconds"):
-            value = getattr(self, key)
-            require(value is None or 0 < value < inf, key, value, "must be a finite number > 0")
+        """Raise ``InvalidInput`` naming the first field that cannot be used."""
+        check_settings(self, ("step", "tol", "seconds"))
 
     @property
     def route(self) -> Route:

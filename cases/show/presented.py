@@ -1,10 +1,12 @@
 """Answers in Python: as a data frame, labelled arrays, a figure, the tables of a notebook."""
 
+from dataclasses import dataclass
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+from matplotlib.figure import Figure
 
 from cases.compare.answers import Answers
 from cases.scene.units import CONSISTENT, Units
@@ -20,79 +22,104 @@ from cases.show.text import html_table, quantity_rows
 from cases.show.variables import Variables
 from cases.show.words import reader_words
 from fpk.answer.density import AnyDensity
-from fpk.answer.names import Observable, observable_name
+from fpk.answer.names import observable_name, parse_observable
 from fpk.numeric.errors import InvalidInput, Unavailable
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
 
-def summary_frame(answers: Answers) -> Any:
-    """Return the quantities as a data frame of pandas with rows (observable, quantity).
 
-    Columns (route, "value" or "error" or "error_kind"), NaN for a missing answer; empty without
-    quantities. Raises ``Unavailable`` without pandas.
+@dataclass(frozen=True, repr=False)
+class PresentedAnswers(Answers):
+    """``Answers`` as ``fpk.solve`` returns them: also as a data frame, labelled arrays, a figure.
+
+    ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2"])
+        answers["q2", "exact"], answers.of("q2"), answers.refusals, answers.problems
+        answers.summary(), answers.to_xarray(), answers.plot("q2")
     """
-    pandas = import_optional("pandas")
-    frame = pandas.DataFrame([quantity_row(q) for q in answers.quantities])
-    if frame.empty:
-        return frame
-    routes = list(dict.fromkeys(frame["route"]))
-    rows = list(dict.fromkeys(zip(frame["observable"], frame["quantity"], strict=True)))
-    cells = ["value", "error", "error_kind"]
-    wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
-    columns = pandas.MultiIndex.from_product([routes, cells])
-    return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+
+    def summary(self) -> "DataFrame":
+        """Return the quantities as a data frame: rows by observable and quantity.
+
+        Columns by route, each with ``value``, ``error`` and ``error_kind``: ``numerical``, or
+        ``sampling`` for one standard error; NaN for a missing answer. Empty without quantities.
+        Needs pandas; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).summary()
+        """
+        pandas = import_optional("pandas")
+        frame: DataFrame = pandas.DataFrame([quantity_row(q) for q in self.quantities])
+        if frame.empty:
+            return frame
+        routes = list(dict.fromkeys(frame["route"]))
+        rows = list(dict.fromkeys(zip(frame["observable"], frame["quantity"], strict=True)))
+        cells = ["value", "error", "error_kind"]
+        wide = frame.set_index(["observable", "quantity", "route"])[cells].unstack("route")
+        columns = pandas.MultiIndex.from_product([routes, cells])
+        return wide.swaplevel(axis=1).reindex(index=rows, columns=columns)
+
+    def to_xarray(self) -> "Dataset":
+        """Return the densities and their errors on common grids, as in the file of a run.
+
+        ``p_q2`` (route_q2, q2) is the density, ``error_q2`` its error, of the kind that
+        ``error_kind_q2`` says; no units are named. Needs xarray; raises ``Unavailable`` without. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).to_xarray()["p_q2"]
+        """
+        variables: Variables = {}
+        for observable in dict.fromkeys(d.observable for d in self.values()):
+            variables |= density_variables([self], observable, Units())
+        attributes = {"units": CONSISTENT, "program": f"vibro-fpk {program_version()}"}
+        data: Dataset = import_optional("xarray").Dataset(dict(variables), attrs=attributes)
+        return data.isel(curve=0, drop=True) if "curve" in data.dims else data
+
+    def plot(self, observable: str, *, log: bool = False) -> Figure:
+        """Return a figure of pyplot with the densities of ``observable`` by every route drawn.
+
+        Contours for a pair. ``log``: on a logarithmic axis, down to 1e-6 of the largest, contours
+        to 1e-3. Raises ``InvalidInput`` for an observable without a density. ::
+
+            fpk.solve(system, ["q2"], methods=["nonintegrable/fem"]).plot("q2", log=True)
+        """
+        of = parse_observable(observable, self.system.n)
+        if not self.densities(of):
+            there = "; ".join(dict.fromkeys(o for o, _ in self)) or "none"
+            remedy = f"has no density; one of these has: {there}"
+            raise InvalidInput("observable", observable_name(of), remedy)
+        with mpl.rc_context(dict(STYLE)):
+            figure = import_module("matplotlib.pyplot").figure()
+            if len(of) == 2:
+                return joint_figure(self, of, log=log, figure=figure)
+            return column_figure([density_panel([self], of, log=log)], HEIGHT, figure=figure)
+
+    def _repr_html_(self) -> str:
+        """Return the quantities as tables, one for each observable, and notes, for a notebook."""
+        rows = [plain(quantity_row(q)) for q in self.quantities]
+        tables = map(html_table, quantity_rows(rows))
+        notes = [*([NOTE] if rows else []), *map(reader_words, self.averaging_notes)]
+        texts = [f"<p>{escape(text)}</p>" for text in (repr(self), *notes)]
+        return "".join([texts[0], *tables, *texts[1:]])
 
 
-def dataset(answers: Answers) -> Any:
-    """Return the densities and errors (route, coordinates) on common grids as an xarray data set.
+def plot(density: AnyDensity, *, log: bool = False) -> Figure:
+    """Return a figure of pyplot with one density and a band of ± its error.
 
-    Names are as in ``write_netcdf``, without the dimension ``curve``; no units are named. Raises
-    ``Unavailable`` if xarray is not installed.
+    A density of two coordinates is drawn as contours; ``log``: on a logarithmic scale, the levels
+    of the contours form a geometric sequence. ::
+
+        answers = fpk.solve(fpk.load("fig3a").system, ["q2,p2"], methods=["exact"])
+        fpk.plot(answers["q2,p2"], log=True)
     """
-    xarray = import_optional("xarray")
-    variables: Variables = {}
-    for observable in dict.fromkeys(d.observable for d in answers.values()):
-        variables |= density_variables([answers], observable, Units())
-    data = xarray.Dataset(
-        dict(variables), attrs={"units": CONSISTENT, "program": f"vibro-fpk {program_version()}"}
-    )
-    return data.isel(curve=0, drop=True) if "curve" in data.dims else data
-
-
-def plot(answers: Answers, observable: Observable, *, log: bool) -> Any:
-    """Return a pyplot figure of the densities, contours for a pair; ``InvalidInput`` if none."""
-    densities = answers.densities(observable)
-    if not densities:
-        there = "; ".join(dict.fromkeys(o for o, _ in answers)) or "none"
-        name = observable_name(observable)
-        raise InvalidInput("observable", name, f"has no density; one of these has: {there}")
     with mpl.rc_context(dict(STYLE)):
-        figure = import_module("matplotlib.pyplot").figure()
-        if len(observable) == 2:
-            return joint_figure(answers, observable, log=log, figure=figure)
-        return column_figure([density_panel([answers], observable, log=log)], HEIGHT, figure=figure)
-
-
-def plot_density(density: AnyDensity, *, log: bool) -> Any:
-    """Return a figure of pyplot with one density and a band of ± its error, or contours of a pair.
-
-    ``log``: a logarithmic scale; the levels of the contours form a geometric sequence.
-    """
-    with mpl.rc_context(dict(STYLE)):
-        figure = import_module("matplotlib.pyplot").figure(layout="constrained")
+        figure: Figure = import_module("matplotlib.pyplot").figure(layout="constrained")
         drawn = lone_density(density, log=log)
         if isinstance(drawn, Field):
             return contour_figure([drawn], density_words(density.observable), figure=figure)
         draw_curves(figure.subplots(), drawn)
     return figure
-
-
-def html_tables(answers: Answers) -> str:
-    """Return HTML: ``repr(answers)``, a table of the quantities of each observable, and notes."""
-    rows = [plain(quantity_row(q)) for q in answers.quantities]
-    parts = [f"<p>{escape(repr(answers))}</p>"]
-    parts += map(html_table, quantity_rows(rows))
-    notes = [*([NOTE] if rows else []), *map(reader_words, answers.averaging_notes)]
-    return "".join([*parts, *(f"<p>{escape(note)}</p>" for note in notes)])
 
 
 def import_optional(name: str) -> Any:

@@ -30,7 +30,6 @@ from cases.study.sweep.grid import parse_axes, place_words
 from cases.study.sweep.points import PointStore, SweepPoint
 from fpk.answer.method import Method, Progress, silent
 from fpk.answer.names import observable_name
-from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable
 from fpk.numeric.machine import usable_cores
 from fpk.numeric.recognition import canonical
@@ -221,7 +220,7 @@ class Sweep:
                     quantity.partition(" [")[0],
                     axis.label,
                     quantity,
-                    curves_over(axis, _with_coincidence(names, own), own, bars),
+                    curves_over(axis, names, own, bars),
                     logarithmic=axis.logarithmic,
                     y_logarithmic=spans_decades(own),
                     by_x=True,
@@ -261,21 +260,6 @@ class Sweep:
         """Return quantities, methods and the sizes of the axes in one line."""
         where = ", ".join(f"{a.key} ({a.values.size})" for a in self.axes)
         return f"Sweep({', '.join(self.quantities)} by {', '.join(self.methods)} over {where})"
-
-
-def _with_coincidence(names: Sequence[str], values: Array) -> list[str]:
-    """Return the names; a curve equal to an earlier curve to 0.1 % says that it covers that curve.
-
-    ``values`` (names, points) have NaN for a value that a method does not give.
-    """
-    words = list(names)
-    for k, later in enumerate(values):
-        for name, earlier in zip(names[:k], values, strict=False):
-            known = np.isfinite(later) & np.isfinite(earlier)
-            if known.any() and np.allclose(later[known], earlier[known], rtol=1e-3, atol=0.0):
-                words[k] = f"{names[k]} (covers {name}: equal to 0.1 %)"
-                break
-    return words
 
 
 def sweep(

@@ -15,7 +15,7 @@ from cases.compare.answers import Answers
 from cases.compare.routes import method_for
 from cases.scene.scene import load_scene
 from cases.show.digest import digest_of
-from cases.show.presented import summary_frame
+from cases.show.presented import PresentedAnswers
 from fpk.answer.density import Density
 from fpk.numeric.errors import InvalidInput, Unavailable
 from fpk.system.contact import Contact
@@ -237,7 +237,7 @@ def test_frames_and_labelled_arrays_have_the_numbers_with_their_errors(one):
         row = frame.loc[(q.observable, q.quantity), q.route.label]
         assert tuple(row) == (q.number.value, q.number.error, q.error_kind)
     assert [*frame.index] == list(dict.fromkeys((q.observable, q.quantity) for q in one.quantities))
-    assert summary_frame(Answers(ONE, ())).empty
+    assert PresentedAnswers(ONE, ()).summary().empty
 
     data = one.to_xarray()
     at = data.sel(route_H="exact")["H"].to_numpy()

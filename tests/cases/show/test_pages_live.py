@@ -197,7 +197,7 @@ def test_sweeps_have_the_numbers_of_every_method(touched, sweeps):
         assert left < x[0] and right > x[-1]  # markers are whole
         for i, hover in enumerate(plot["hover"], 1):
             assert hover["place"]["x"] == x[i]
-            names = [v["name"].partition(" (covers ")[0] for v in hover["values"]]
+            names = [v["name"] for v in hover["values"]]
             assert names == [reader_words(m) for m in one.methods]
             for m, value in enumerate(hover["values"]):
                 assert_shown(value, one.field("value")[k, m, i], one.field("error")[k, m, i])

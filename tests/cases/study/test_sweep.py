@@ -295,9 +295,9 @@ def test_a_sweep_in_python_has_labels_a_picture_and_a_table_for_a_notebook():
     assert any(y.shape == (2,) and y == expected for y in drawn)
     page = one._repr_html_()
     assert page.count("<tr>") == 1 + 4 * 3 and "<td>0.3</td>" in page and "rms(q2)" in page
-    # A curve that covers another one names it.
-    exact, energy, modal = (curve.name for curve in one.panels()[0].curves)
-    assert exact == "exact" and "covers exact" in energy and "covers" not in modal
+    # The page says which curve covers another one.
+    (words,) = one.panels()[0].coincidences()
+    assert words == "the lines of exact and energy averaging coincide"
     two = {**CLEARANCES, "contact[1].stiffness": [1.0, 10.0]}
     heat = face.sweep(system, two, ["rms(q2)"], methods=["exact"]).plot()
     assert heat.axes[0].get_title("left") == "rms(q2) by exact"

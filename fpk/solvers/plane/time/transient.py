@@ -14,6 +14,7 @@ from scipy.sparse import csc_array
 from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import LARGEST_ERROR, Transient
 from fpk.numeric.arrays import EPS, ROUNDINGS, SMALLEST, Array
+from fpk.numeric.krylov import krylov
 from fpk.numeric.quadrature import gauss_grid, panel_rule
 from fpk.solvers.plane.elements import Nodes, lu_factors
 from fpk.solvers.plane.solution import PlaneSolution, root_spaced_nodes
@@ -84,34 +85,27 @@ def krylov_exponential(
 
 
 def _of_group(A: csc_array, M: csc_array, start: Array, times: Array, tol: float) -> KrylovSolution:
-    gamma = float(times[-1]) / TIME_RATIO
+    gamma, residuals = float(times[-1]) / TIME_RATIO, [0.0]
     matrix = (M - gamma * A).tocsc()
-    factors, sizes = lu_factors(matrix), abs(matrix)
-    V, MV = np.empty((2, MAX_KRYLOV, start.size))
-    H, residuals, norm = np.zeros((MAX_KRYLOV, MAX_KRYLOV)), [0.0], np.sqrt(start @ (M @ start))
-    V[0], MV[0] = start / norm, (M @ start) / norm
-    for k in range(1, MAX_KRYLOV):
-        v = factors.solve(MV[k - 1])
-        if k % KRYLOV_BLOCK == 1:
-            residuals.append(relative_residual(matrix, sizes, v, MV[k - 1]))
-        before = float(np.sqrt(v @ (M @ v)))
-        for _ in range(2):
-            along = MV[:k] @ v
-            H[:k, k - 1] += along
-            v = v - along @ V[:k]
-        Mv = M @ v
-        H[k, k - 1] = size = float(np.sqrt(v @ Mv))
-        # If ``size`` is round-off, the space is complete.
-        fewer = k if size <= 1e-12 * before else k - KRYLOV_BLOCK
-        if fewer == k or (k + 1 >= 3 * KRYLOV_BLOCK and (k + 1) % KRYLOV_BLOCK == 0):
-            more, rounding, norms = _small_exponential(H[:k, :k], times, gamma)
-            change = more.copy()
-            change[:, :fewer] -= _small_exponential(H[:fewer, :fewer], times, gamma)[0]
-            largest = float(np.max(np.linalg.norm(change, axis=1) / norms))
-            if largest <= tol or k + KRYLOV_BLOCK >= MAX_KRYLOV:
-                break
-        V[k], MV[k] = v / size, Mv / size
-    values, lost = norm * more @ V[:k], norm * change @ V[:k]
+    factors, sizes, norm = lu_factors(matrix), abs(matrix), np.sqrt(start @ (M @ start))
+
+    def apply(v: Array) -> Array:
+        right = M @ v
+        x = factors.solve(right)
+        residuals.append(relative_residual(matrix, sizes, x, right))
+        return x
+
+    for V, H, closed in krylov(apply, start[:, None], MAX_KRYLOV, metric=M.__matmul__):
+        k = len(V)
+        if not closed and (k < 3 * KRYLOV_BLOCK or k % KRYLOV_BLOCK):
+            continue
+        fewer = k if closed else k - KRYLOV_BLOCK
+        more, rounding, norms = _small_exponential(H[:k], times, gamma)
+        change = more.copy()
+        change[:, :fewer] -= _small_exponential(H[:fewer, :fewer], times, gamma)[0]
+        if float(np.max(np.linalg.norm(change, axis=1) / norms)) <= tol:
+            break
+    values, lost = norm * more @ V, norm * change @ V
     return KrylovSolution(values, lost, rounding / norms, float(np.max(residuals)))
 
 
