@@ -23,12 +23,13 @@ from averaging.phase_space.plane.oscillator import HIGHER, TRIALS, Oscillator, r
 from averaging.phase_space.refinement import (
     DENSITY_ROUND_OFF,
     DISTANCE_SAFETY,
+    LEAST_SHARE,
     SLOWEST_FALL,
     Ladder,
     Options,
     solution_distance,
 )
-from fpk.answer.names import Observable
+from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import NotCertified
 from fpk.numeric.quadrature import gauss_legendre, panel_rule
@@ -236,14 +237,18 @@ def plane_ladder_of(
     """Return the ladder of two solutions, the errors from the L1 distances of their densities.
 
     An error is ``DISTANCE_SAFETY`` d/(r − 1), d the distance and r the factor by which the parts
-    ``unresolved`` fall, from ``SLOWEST_FALL`` to ``FASTEST_FALL``, and ``added``, and ``lost``.
+    ``unresolved`` fall, from ``SLOWEST_FALL`` to ``FASTEST_FALL``, and ``added``, and ``lost``. A
+    d below ``LEAST_SHARE`` of the larger distance of the densities of q and p is not believed.
     """
     ladder = Ladder(finest, coarser, {}, {}, {}, "", solutions)
     fine, coarse = (sum(float(part.sum()) for part in e.unresolved) for e in (finest, coarser))
     share = DISTANCE_SAFETY / (float(np.clip(coarse / fine, SLOWEST_FALL, FASTEST_FALL)) - 1.0)
+    single = [(Coordinate("q", 0),), (Coordinate("p", 0),)]
+    least = LEAST_SHARE * max(solution_distance(finest, coarser, one) for one in single)
     for one in observables:
-        own = ladder.believed[one] = solution_distance(finest, coarser, one)
-        ladder.errors[one] = share * own + DENSITY_ROUND_OFF + added + finest.lost
+        own = solution_distance(finest, coarser, one)
+        ladder.believed[one] = max(own, least)
+        ladder.errors[one] = share * ladder.believed[one] + DENSITY_ROUND_OFF + added + finest.lost
         ladder.factors[one] = max(ladder.errors[one] / own, 1.0) if own > 0.0 else 0.0
     return ladder
 

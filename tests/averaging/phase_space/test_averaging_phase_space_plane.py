@@ -9,7 +9,9 @@ from systems import both, by_energy
 
 from averaging.gaussian import Linear
 from averaging.phase_space.method import PhaseSpace
-from averaging.phase_space.plane import elements, oscillator
+from averaging.phase_space.plane import elements, oscillator, stationary
+from averaging.phase_space.plane.stationary import plane_ladder, plane_ladder_of
+from averaging.phase_space.refinement import LEAST_SHARE, Options
 from averaging.theory import Exact
 from fpk import Contact, DampingTerm, System
 from fpk.answer.density import l1_distance
@@ -43,6 +45,16 @@ def test_values_from_outside(system, q, p, mean, moment):
     assert np.all(np.abs(values - p) <= errors + 1e-7) and errors.max() < 1e-3
     number = density.expectation(mean)
     assert abs(number.value - moment) <= number.error + 1e-7
+
+
+def test_a_distance_of_one_density_far_below_that_of_the_other_is_not_believed(monkeypatch):
+    q, p = (parse_observable(c, 1) for c in ("q1", "p1"))
+    ladder = next(plane_ladder(oscillator.oscillator_of(CUBIC), [q, p], Options(4.0, 1e12)))
+    by_chance = {q: 1e-3, p: 1e-9}
+    monkeypatch.setattr(stationary, "solution_distance", lambda a, b, of: by_chance[of])
+    again = plane_ladder_of(ladder.finest, ladder.coarser, [q, p])
+    assert again.believed == {q: 1e-3, p: pytest.approx(LEAST_SHARE * 1e-3)}
+    assert again.errors[p] == pytest.approx(LEAST_SHARE * again.errors[q], rel=1e-3)
 
 
 def one(m, k, c, D, term, *stop):
