@@ -13,6 +13,7 @@ import pytest
 from averaging import Exact, Integrable, Linear, NonIntegrable, PhaseSpace, theory
 from averaging.phase_space import method as phase_space
 from averaging.phase_space import refinement, resolvent
+from averaging.phase_space.equation import chain
 from averaging.phase_space.plane import elements, first_passage
 from averaging.time import MODAL_TOL
 from cases.command import studies
@@ -175,8 +176,8 @@ CONSTANTS = {
         f"r at least {refinement.SLOWEST_FALL}",
         f"and {refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY:g} d after two solutions",
         f"less than {refinement.LEAST_RATIO} of the one before",
-        f"a damping ratio below {refinement.LIGHT_DAMPING} it is not",
-        f"less than {refinement.LIGHT_RATIO} of the one before",
+        f"by (2n/N − 1)⁶ times {chain.ABSORPTION:g} of the largest natural frequency",
+        f"or to {refinement.HOPELESS}, by a factor of {refinement.LIKELY_FALL:g} with each",
         f"{refinement.LEAST_SHARE} of the largest",
         f"from {resolvent.BLOCK} random vectors",
         f"Energies rise until it is below {elements.RELIABILITY_SHARE:g} of the tolerance",

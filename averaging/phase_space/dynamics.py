@@ -97,7 +97,7 @@ def adapt(
         fine = measure(ladder.finest, options.step(f"{what}, solution {ladder.solutions}"))
         difference = apart(ladder, fine, coarse)
         relative = float(np.max(difference / fine.scale))
-        believed, error = error_by_distances(relative, believed, ladder.credible)
+        believed, error = error_by_distances(relative, believed)
         errors = (error / relative if relative > 0.0 else 0.0) * difference
         later = replace(fine, errors=errors + fine.added + DENSITY_ROUND_OFF * fine.scale)
         earlier = later if best is None else best[1]

@@ -13,7 +13,7 @@ from averaging.phase_space import dynamics
 from averaging.phase_space.densities import expansion_density, expansion_settings, identities
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import first_degrees, next_degrees
-from averaging.phase_space.equation.elimination import solution_cost
+from averaging.phase_space.equation.elimination import Expansion, solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.plane.dynamics import uniform_ladder
 from averaging.phase_space.plane.first_passage import phase_space_passage
@@ -28,6 +28,7 @@ from averaging.phase_space.refinement import (
     better,
     breakdowns,
     ladder_of,
+    out_of_reach,
     solution_ladder,
 )
 from averaging.theory import LARGEST, Exact, Theory
@@ -133,18 +134,29 @@ class PhaseSpace(Theory):
         ladders: Callable[..., Iterator[Ladder]]
         of: Callable[..., Ladder]
         frame = self._frame(system)
+        made: list[Expansion] = []
         if system.n == 1:
             oscillator = oscillator_of(system)
             require_broad(oscillator)
             ladders, of = partial(plane_ladder, oscillator), plane_ladder_of
         else:
-            ladders, of = partial(solution_ladder, frame), ladder_of
+            ladders, of = partial(solution_ladder, frame, made=made), ladder_of
 
         def refusal(observable: Observable) -> str | None:
-            name = observable_name(observable)
-            words = "the expansion gives densities of displacements and momenta, not of energies"
-            energy = any(c.kind == "H" for c in observable)
-            return f"{name}: {words}; ask for q, p or pairs of them" if energy else None
+            if any(c.kind == "H" for c in observable):
+                words = "gives densities of displacements and momenta, not of energies"
+                return (
+                    f"{observable_name(observable)}: {self.method} {words}; ask for q, p or pairs"
+                )
+            if system.n == 1:
+                return None
+            try:
+                first = next(ladders([observable], self._options()))
+            except np.linalg.LinAlgError as error:
+                return f"solutions of low degree are of no use, {error}; use montecarlo"
+            made[:] = first.coarser, first.finest
+            tol = self.accepted or self.tol
+            return out_of_reach(first, observable, self._options(), tol) or None
 
         @breakdowns()
         def solve(

@@ -151,9 +151,10 @@ def theories(scene: Scene) -> list[Record]:
     records = []
     for name in dict.fromkeys(route.method for route in all_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
+        refusals = [route.make().refusals(scene.system) for route in routes]
         reasons: dict[str, list[str]] = {}
         for observable in scene.observables:
-            by_solver = [route.make().refusal(scene.system, observable) for route in routes]
+            by_solver = [refusal(observable) for refusal in refusals]
             # Refused where every solver refuses it: the default's reason is shown.
             if None not in by_solver:
                 of = observable_name(observable)

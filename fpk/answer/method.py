@@ -98,13 +98,17 @@ class Method(ABC):
         work is limited, to ``share`` of a fixed amount, or raises ``NotApplicable``."""
         return self
 
+    def refusals(self, system: System) -> Callable[[Observable], str | None]:
+        """Return ``refusal`` as a function of the observable, for a system prepared once."""
+        try:
+            return self.planned(system, ()).refusal
+        except NotApplicable as error:
+            reason = str(error)
+            return lambda _: reason
+
     def refusal(self, system: System, observable: Observable) -> str | None:
         """Return the reason why the method does not give ``observable``, or None if it does."""
-        try:
-            self.planned(system, [observable])
-        except NotApplicable as reason:
-            return str(reason)
-        return None
+        return self.refusals(system)(observable)
 
     def solve(
         self,

@@ -14,7 +14,7 @@ is its degree in z without the factor v_j, it couples a level to the levels from
 r + 2 above; r is 0 without damping terms. Levels are grouped in stages. Integrals are exact.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,12 @@ from averaging.phase_space.equation.basis import Basis
 from averaging.phase_space.equation.degrees import Matrix, Space, combination, space_to
 from averaging.phase_space.equation.frame import POWER, Frame, linear_part
 from fpk.numeric.arrays import Array, Integers
+
+ABSORPTION = 10.0
+"""Damping of the highest level N, over the largest natural frequency; level n > N/2 has (2n/N − 1)⁶
+of it. What the highest levels would reflect is absorbed: with noise on one mass only true errors
+fall to a third, and of a system on which solutions diverged, distances to a fifth. From 6 to 20 the
+errors change little."""
 
 Polynomial = dict[tuple[int, int], Matrix]
 """Maps powers of y and of U(y) to their coefficients, matrices that act on the degrees k."""
@@ -171,6 +177,10 @@ def chain_of(functions: Basis, *, joined: bool = False, closed: bool = False) ->
         mixed = POWER * f - even * drift[:, i] - 2.0 * even * POWER * g
         constant += up[i] @ (combination(up, POWER * f + POWER**2 * g) + combination(down, mixed))
         constant += down[i] @ combination(down, even**2 * g - even * f)
+    # Lower levels keep their exact equations, and so moments their identities.
+    absorbed = np.maximum(2.0 * space.level / degrees.total - 1.0, 0.0) ** 6
+    fastest = float(np.sqrt(np.linalg.eigvalsh(frame.stiffness)[-1]))
+    constant -= ABSORPTION * fastest * sparse.diags_array(absorbed, format="csr")
     slopes = (POWER * A - even * B for A, B in zip(up[1:], down[1:], strict=True))
     couplings = [(down[0], adjoint), (up[0], transport), *zip(slopes, forces, strict=True)]
     parts: list[tuple[Matrix, Between]] = [
@@ -178,11 +188,16 @@ def chain_of(functions: Basis, *, joined: bool = False, closed: bool = False) ->
         *((A, ((None, H[0]), (H[1], None))) for A, H in couplings if np.any(H[0])),
     ]
     count, start, ends = places(functions, space, joined=joined)
-    entries = [e for part in parts for e in _product_entries(*part, space, count, start)]
+    size = int(ends[-1])
+    terms = [_product_entries(*part, space, count, start) for part in parts]
     if frame.system.damping_terms:
-        wider, terms = damping_terms(functions, C)
+        wider, more = damping_terms(functions, C)
         at = places(functions, wider, joined=joined)[:2]
-        entries += [e for term in terms for e in _product_entries(*term, wider, *at)]
+        terms += [_product_entries(*term, wider, *at) for term in more]
+    matrix = Matrix((size, size))
+    for term in terms:  # one by one, which takes least memory
+        matrix = matrix + _matrix(term, size)
+    closing = []
     table = np.zeros((degrees.total + 2, space.others.max() + 1), dtype=np.int64)
     table[space.level[count > 0], space.others[count > 0]] = count[count > 0]
     for n, m in np.argwhere(table[1:]) + np.array([1, 0]):
@@ -193,9 +208,8 @@ def chain_of(functions: Basis, *, joined: bool = False, closed: bool = False) ->
             U, s, _ = np.linalg.svd(E, full_matrices=False)
             at = start[(space.level == n) & (space.others == m) & (count > 0)]
             root = np.full(at.size, -np.sqrt(n - m + 1.0))
-            entries.append(_entries(at, at, root, (U * s) @ U.T))
-    row, column, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    matrix, j = Matrix((values, (row, column)), shape=2 * (int(ends[-1]),)), np.arange(count.max())
+            closing.append(_entries(at, at, root, (U * s) @ U.T))
+    matrix, j = matrix + _matrix(closing, size), np.arange(count.max())
     unknowns = np.where(j < count[:, None], start[:, None] + j, -1)
     integrals = [functions.measure @ (value @ functions.of_level(n)) for n in range(2)]
     chain = Chain(functions, C, space, unknowns, ends, matrix, np.zeros(0))
@@ -223,6 +237,13 @@ def _product_entries(
         rows, columns = count[first], count[second]
         F = np.ones(min(rows, columns)) if F is None else F[:rows, :columns]
         yield _entries(start[to[at]], start[of[at]], factor[at], F)
+
+
+def _matrix(entries: Iterable[Entries], size: int) -> Matrix:
+    """Return the matrix (size, size) of all ``entries``; entries of one place are added."""
+    nothing = (*np.zeros((2, 0), dtype=np.int32), np.zeros(0))
+    row, column, values = map(np.concatenate, zip(nothing, *entries, strict=True))
+    return Matrix((values, (row, column)), shape=(size, size))
 
 
 def _entries(to: Integers, of: Integers, factor: Array, F: Array) -> Entries:

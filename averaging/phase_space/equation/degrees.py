@@ -85,7 +85,7 @@ def degrees_to(frame: Frame, total: int, others: int) -> Degrees:
 
 
 def next_degrees(frame: Frame, degrees: Degrees, others: int) -> Degrees:
-    """Return degrees with a quarter more levels: the errors of solutions then fall by factors.
+    """Return degrees with about a quarter more levels: 13, 17, 21, 25, 31, 39, …
 
     ``others``: see ``degrees_to``. All totals are odd, since errors of even ones differ.
     """

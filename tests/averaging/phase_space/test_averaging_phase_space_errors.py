@@ -9,7 +9,7 @@ from itertools import islice, product
 import numpy as np
 import pytest
 from systems import both, fig6
-from test_averaging_phase_space import ONE_NOISE, common, drawn, stop
+from test_averaging_phase_space import ONE_NOISE, common, drawn, stop, two
 
 import fpk
 from averaging.phase_space import refinement
@@ -22,7 +22,7 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import SOLUTION_WORK, Ladder, Options, solution_ladder
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
-from fpk.numeric.errors import InvalidInput, NotCertified
+from fpk.numeric.errors import InvalidInput
 
 SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
 SYSTEM = fig6(both(10.0))
@@ -155,15 +155,40 @@ def test_more_memory_is_more_work_too():
             PhaseSpace(memory=memory)
 
 
-def test_where_damping_is_light_one_small_distance_says_less():
-    one = contact_frame(fpk.System([1], [1], [0.6], [0.3]))
-    half, light = (refinement.credible_ratio(contact_frame(lighter(x))) for x in (2, 10))
-    assert refinement.credible_ratio(one) == half == 0.25 and light == 0.6
-    first, _ = refinement.error_by_distances(1e-3, None, light)
-    # Distances that are believed to fall by 1/0.6 leave 1/(1/0.6 − 1) = 1.5 of the last one.
-    believed, error = refinement.error_by_distances(1e-5, first, light)
-    assert believed == pytest.approx(6e-4)
-    assert error == pytest.approx(1.5 * refinement.DISTANCE_SAFETY * 6e-4)
+def test_a_distance_that_falls_by_chance_is_not_believed():
+    first, error = refinement.error_by_distances(1e-3, None)
+    safety = refinement.DISTANCE_SAFETY
+    assert first == 1e-3 and error == pytest.approx(refinement.FIRST_SAFETY * safety * 1e-3)
+    believed, error = refinement.error_by_distances(1e-5, first)
+    assert believed == pytest.approx(2.5e-4)
+    assert error == pytest.approx(safety * 2.5e-4)
+
+
+def test_what_is_out_of_reach_is_refused_before_it_is_tried():
+    """A hot mass beside a contact mass without noise of its own, which is light, or overdamped."""
+    hot = two([1.58, 0.184], [0.465, 1.05], [0.224, 0.0581], [0.378, 0.0],
+              2, "left", 31.4, 0.469, "bilinear")  # fmt: skip
+    reason = PhaseSpace(tol=1e-3).refusal(hot, SINGLE[1])
+    assert "would not fall to 0.01 before memory or work end; use montecarlo" in reason
+    # Errors of a tenth are within reach.
+    assert PhaseSpace(tol=0.1).refusal(hot, SINGLE[1]) is None
+    slaved = two([0.228, 2.4], [1.3, 1.77], [0.391, 0.0282], [0.0, 0.0457],
+                 1, "left", 779.0, 0.151, "bilinear")  # fmt: skip
+    assert "of no use" in PhaseSpace().refusal(slaved, SINGLE[1])
+
+
+def test_a_refusal_and_the_answer_share_their_first_solutions(monkeypatch):
+    made, solve = [], refinement.expand
+
+    def expand(frame, about, degrees, **options):
+        made.append(degrees.total)
+        return solve(frame, about, degrees, **options)
+
+    monkeypatch.setattr(refinement, "expand", expand)
+    plan = PhaseSpace(tol=1e-2).planned(SYSTEM, SINGLE)
+    before = len(made)
+    result = plan.solve(SINGLE, lambda *_: None)
+    assert result.settings["highest degree"] == max(made) and len(made) == before
 
 
 def leave_unsolved(monkeypatch, low, high):
@@ -179,8 +204,8 @@ def leave_unsolved(monkeypatch, low, high):
 
 def test_without_two_solved_systems_of_equations_there_is_no_answer(monkeypatch):
     leave_unsolved(monkeypatch, 17, 17)
-    with pytest.raises(NotCertified, match="equations of degree 17 are not solved"):
-        PhaseSpace(tol=1e-6).solve(SYSTEM, SINGLE[:1])
+    reason = PhaseSpace(tol=1e-6).refusal(SYSTEM, SINGLE[0])
+    assert "equations of degree 17 are not solved" in reason
 
 
 def test_a_solution_whose_equations_are_not_solved_is_not_used(monkeypatch):
