@@ -3,7 +3,6 @@
 The energy of a Gaussian state is a weighted sum of independent gamma variables.
 """
 
-import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -385,29 +384,18 @@ class Linear(Theory):
         covariance = system.fact(linear_covariance)
         decomposed: Any = eig(-covariance.drift, left=True, right=True)
         mu, left, right = decomposed
-        first, second = np.flatnonzero(mu.imag > 0.0), np.flatnonzero(mu.imag < 0.0)
-        partner = np.arange(mu.size)  # index of the conjugate; LAPACK puts the two side by side
-        partner[first], partner[second] = second, first
-        order = np.argsort(mu.real)
-        mu, partner = mu[order], np.argsort(order)[partner[order]]
-        overlap = np.abs(np.sum(left.conj() * right, axis=0))[order]
-        rounding = EPS * mu.size
+        overlap, rounding = np.abs(np.sum(left.conj() * right, axis=0)), EPS * mu.size
         change = rounding / np.maximum(overlap, np.sqrt(rounding))
-        error = float(np.linalg.norm(covariance.drift, 2)) * change
-        # Sums of eigenvalues in ascending order of their real parts: each is extended by every
-        # eigenvalue from its last one on.
-        heap: list[tuple[float, list[int]]] = [(x, [j]) for j, x in enumerate(mu.real.tolist())]
-        sums: list[list[int]] = []
-        while len(sums) < asked.count:
-            real, terms = heapq.heappop(heap)
-            value = mu[terms].sum()
-            is_real = abs(value.imag) <= np.sqrt(EPS) * abs(value)
-            if terms <= sorted(partner[terms]) if is_real else value.imag > 0.0:
-                sums.append(terms)
-            for j in range(terms[-1], mu.size):
-                heapq.heappush(heap, (real + float(mu[j].real), [*terms, j]))
-        values = np.array([mu[terms].sum() for terms in sums])
-        errors = np.array([error[terms].sum() for terms in sums])
+        each = np.stack([mu, float(np.linalg.norm(covariance.drift, 2)) * change], axis=1)
+        # Sums and their errors; far more than asked for, as conjugates have equal real parts.
+        sums, most = np.zeros((1, 2), dtype=complex), 4 * (asked.count + mu.size)
+        for own in each:
+            multiples = np.multiply.outer(np.arange(asked.count + 1.0), own)
+            sums = (sums[:, None] + multiples).reshape(-1, 2)
+            sums = sums[np.argsort(sums[:, 0].real, kind="stable")][:most]
+        is_real = np.abs(sums[:, 0].imag) <= np.sqrt(EPS) * np.abs(sums[:, 0])
+        upper = sums[is_real | (sums[:, 0].imag > 0.0)][1 : asked.count + 1]  # without 0
+        values, errors = upper[:, 0], upper[:, 1].real
         tol = asked.tol or self.tol_for(system)
         return certify_rates(values, errors, tol=tol, residual=covariance.residual)
 

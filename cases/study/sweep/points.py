@@ -84,41 +84,36 @@ POINTS_BYTES = 64 << 20
 class PointStore:
     """The points of one grid in ``folder``, one JSON line each, or in memory where it is None.
 
-    The file is replaced whole at every point, so that a killed run leaves all points before; its
-    first line is a hash of the grid's ``identity``, all that its numbers depend on, and each later
-    line ends with a hash of the previous line and of its own point. A file that was changed or
-    belongs to another run is refused and not modified; an incomplete last line, as a power cut may
-    leave it, is left out with a warning. The caller has ``claimed`` the folder before it adds.
+    The file is replaced whole at every point, so that a killed run leaves all points before. Each
+    line ends with a hash of its point and of the grid's ``identity``, all that its numbers depend
+    on. Lines that were changed or are incomplete, as a power cut may leave the last, are left out
+    with a warning; a file of other lines alone is refused and not modified. The caller has
+    ``claimed`` the folder before it adds.
     """
 
     def __init__(self, folder: Path | None, identity: Record) -> None:
-        """Read the file, if any; raise ``BadInput`` if it is damaged or belongs to another run."""
+        """Read the file, if any; raise ``BadInput`` if no line in it is a point of this grid."""
         self._path = None if folder is None else folder / POINTS_FILE
-        self._hash = fingerprint(identity)
-        self._text = f"{self._hash}\n"
+        self._identity, self._text = fingerprint(identity), ""
         self.points: dict[tuple[float, ...], SweepPoint] = {}
         if self._path is None or not lexists(self._path):
             return
         what = "the file of a grid's points"
         stored = read_text(self._path, str(self._path), most=POINTS_BYTES, what=what)
-        own, whole = self._hash, 0
-        head, *lines = stored.removesuffix("\n").split("\n")
-        for line in lines if head == own else ():
+        lines = stored.removesuffix("\n").split("\n") if stored else []
+        for line in lines:
             body = line.rpartition(CHECK)[0] + "}"
-            if self._line(body) != line:
-                break
-            self._append(body)
-            point = SweepPoint.read(json.loads(body))
-            self.points[point.values] = point
-            whole += 1
-        rest = lines[whole:] if head == own else [head, *lines]
-        if len(rest) > 1 or not own.startswith(head):
+            if self._line(body) == line:
+                self._text += f"{line}\n"
+                point = SweepPoint.read(json.loads(body))
+                self.points[point.values] = point
+        if lines and not self.points:
             raise BadInput(
                 f"{self._path}: is damaged or another run's; give another --out or remove the file"
             )
-        if any(rest):
-            words = "its last line is torn and left out; what was in it is computed again"
-            warnings.warn(f"{self._path}: {words}", stacklevel=2)
+        if wrong := len(lines) - self._text.count("\n"):
+            words = "torn or changed, left out; what was there is computed again"
+            warnings.warn(f"{self._path}: {wrong} of its lines {words}", stacklevel=2)
 
     def add(self, point: SweepPoint) -> None:
         """Store a finished point; with a folder also in its file, which is replaced whole.
@@ -126,15 +121,11 @@ class PointStore:
         A run that is killed later keeps the point. Raises ``BadInput`` if it cannot be written.
         """
         self.points[point.values] = point
-        self._append(json.dumps(plain(point), allow_nan=False))
+        self._text += f"{self._line(json.dumps(plain(point), allow_nan=False))}\n"
         if self._path is not None:
             write_text(self._path, self._text)
 
     def _line(self, body: str) -> str:
-        """Return the next line of the file: the JSON object ``body`` of a point with its hash."""
-        own = sha256((self._hash + body).encode()).hexdigest()
+        """Return the line of the file for the JSON object ``body`` of a point, with its hash."""
+        own = sha256((self._identity + body).encode()).hexdigest()
         return f'{body[:-1]}{CHECK}{own}"}}'
-
-    def _append(self, body: str) -> None:
-        line = self._line(body)
-        self._hash, self._text = line[-66:-2], f"{self._text}{line}\n"
