@@ -77,26 +77,6 @@ def up(error: float | None) -> str:
 
 
 def with_error(value: float | None, error: float | None) -> str:
-    """Return ``0.1235 ± 1.3e−3``: at most six digits of ``value``, as its ``error`` allows.
-
-    The error is rounded up to two digits, and left out if it is 0. A value below a tenth of its
-    error is shown as 0, and its modulus is added to the error. A dash if either is None.
-    """
-    if value is None or error is None:
-        return "–"
-    if error == 0.0:
-        return f"{value:.6g}".replace("-", "−")
-    if not isfinite(error):
-        return f"{value:.6g} ± {error:g}".replace("-", "−")
-    if abs(value) < 0.1 * error:
-        value, error = 0.0, error + abs(value)
-    last = floor(log10(error)) - 1
-    digits = 1 if value == 0 else floor(log10(abs(value))) - last + 1
-    text = f"{value:.{min(max(digits, 1), 6)}g} ± {bound(error)}"
-    return text.replace("e-0", "e-").replace("-", "−")
-
-
-def concise(value: float | None, error: float | None) -> str:
     """Return ``value`` with its ``error`` in brackets, in units of the last digits: ``0.4123(5)``.
 
     No brackets if the error is below half a unit of the last of ``DIGITS`` digits; ``0(2e-10)`` for

@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from cases.compare.claims import Verdict
 from cases.scene.units import in_brackets
-from cases.scene.written import NOTE, bound, concise, duration, number, up, with_error
+from cases.scene.written import NOTE, bound, duration, number, up, with_error
 from cases.show.digest import curves_of
 from cases.show.records import Record
 from cases.show.words import effects_in_words, reader_words, theory_of_route, with_key
@@ -218,7 +218,7 @@ def quantity_rows(rows: Sequence[Record], *, every: bool = True) -> Iterator[lis
 
 
 def _cell(row: Record | None) -> str:
-    return concise(row["value"], row["error"]) if row else ""
+    return with_error(row["value"], row["error"]) if row else ""
 
 
 def html_table(rows: Sequence[Sequence[str]]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cases.compare.compare import distance_between
 from cases.scene.scene import Scene
-from cases.scene.written import bound, duration
+from cases.scene.written import duration
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.study_page import Page, Table
 from cases.show.words import theory_of_route
@@ -154,11 +154,10 @@ class CostStudy:
         units, time = self.scene.units, self.scene.units.time
         law += f" The bias is in {time}^(-order)." if time else ""
         of_laws = {"noise": units.of((0, 0, 0.5)), "largest": time, "relaxation": time}
-        crossings, overtaking = crossovers(self.routes), _overtaking(self)
         tables = [
             Table("prices", "To get so many digits (L1)", prices),
             Table("promises", "Settings that hold for other scenes", promised, (promise,)),
-            Table("crossings", "Where another route becomes the cheapest", crossings, overtaking),
+            Table("crossings", "Where another route becomes the cheapest", crossovers(self.routes)),
             Table(
                 "models", "What the theories are worth for the full system", models, (averaging,)
             ),
@@ -272,29 +271,6 @@ def _models(system: System, reference: Reference) -> list[Model]:
             model = Model(theory, reference.density.name, distance, error, seconds)
             models[theory] = min(model, models.get(theory, model), key=lambda m: m.seconds)
     return list(models.values())
-
-
-def _overtaking(study: CostStudy) -> tuple[str, ...]:
-    """Return in words at which errors solutions of the full system overtake its sampling."""
-    own = [r for r in study.routes if r.equation == FULL]
-    sampled = [r for r in own if any(p.modelled for p in r.points)]
-    words = []
-    for route in [r for r in own if r not in sampled] if sampled else []:
-        reached = [p.error for p in route.points]
-        errors = np.geomspace(max(reached), min(reached), 1001)
-        seconds = route.seconds_for(errors)
-        sampling = np.fmin.reduce([r.seconds_for(errors) for r in sampled])
-        slower = np.flatnonzero(seconds > sampling)
-        first = slower[-1] + 1 if slower.size else 0
-        where = (
-            f"below {errors[first]:.1e}" if first < errors.size else "at no error that it reached"
-        )
-        times = duration(seconds[-1]), duration(sampling[-1])
-        words.append(
-            f"{FULL}: {route.route} overtakes sampling {where}. At its least error here,"
-            f" {bound(errors[-1])}, it takes {times[0]}, sampling {times[1]}."
-        )
-    return tuple(words)
 
 
 def _price(row: dict[str, Any]) -> dict[str, Any]:

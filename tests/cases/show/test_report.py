@@ -239,7 +239,7 @@ def test_theories_claims_and_numbers_in_words():
     # The headline of a pair has an impact rate and no force.
     row = number("exact", 1.25, quantity="impact rate, left stop")
     curve = {"system": {"modulation": None}, "passages": [], "averaging_unknown": []}
-    assert numbers_of({**curve, "quantities": [row]}).startswith("Q2 impact rate, left stop 1.25 ±")
+    assert numbers_of({**curve, "quantities": [row]}).startswith("Q2 impact rate, left stop 1.25")
     force = number("exact", 1.25, quantity="mean force, left stop")
     assert "mean force, left stop 1.25" in numbers_of({**curve, "quantities": [row, force]})
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from cases.scene.written import bound, concise, duration, up, with_error
+from cases.scene.written import bound, duration, up, with_error
 from cases.show.page import TEMPLATES
 from cases.show.study_page import cell
 
@@ -28,13 +28,13 @@ from cases.show.study_page import cell
     ],
 )
 def test_a_number_is_shown_with_its_error(value, error, text):
-    assert concise(value, error) == text
+    assert with_error(value, error) == text
 
 
 def test_a_number_in_brackets_is_no_less_than_the_error():
     rng = np.random.default_rng(3)
     for value, error in zip(rng.normal(size=500), 10.0 ** rng.uniform(-9, 0, 500), strict=True):
-        text = concise(value, error)
+        text = with_error(value, error)
         digits, _, rest = text.partition("(")
         decimals = len(digits.partition(".")[2])
         shown = float(rest.partition(")")[0]) if rest else 0.5
@@ -48,9 +48,6 @@ def test_an_error_is_never_shown_below_what_it_is():
     for error in 10.0 ** rng.uniform(-20, 9, 500):
         text = up(error).replace(" × 10", "e").translate(plain)
         assert error * (1.0 - 1e-11) <= float(text) <= 1.1 * error, text
-        shown = with_error(9.0 * error, error).partition("± ")[2]
-        shown = float(shown.replace("−", "-").replace("e-", "e-0"))
-        assert error * (1.0 - 1e-11) <= shown <= 1.1 * error
     assert (up(None), up(0.0), up(0.00121)) == ("–", "0", "0.0013")
     for error in 10.0 ** rng.uniform(-300, 300, 400):
         for digits in (1, 2, 3):
@@ -62,14 +59,6 @@ def test_an_error_is_never_shown_below_what_it_is():
     for template in TEMPLATES.glob("*.*"):  # a page rounds no error to the nearest
         nearest = re.findall(r"\b\w*(?:error|sampling|chance)\|num\b", template.read_text("utf-8"))
         assert not nearest, (template.name, nearest)
-
-
-def test_digits_follow_the_error():
-    assert with_error(0.123456789, 1.234e-3) == "0.1235 ± 1.3e−3"
-    assert with_error(0.123456789, 1e-12) == "0.123457 ± 1.0e−12"
-    assert with_error(12345.678, 100.0) == "1.235e+04 ± 1.0e+02"
-    assert with_error(-7e-18, 3.4e-12) == "0 ± 3.5e−12" and with_error(0.5, None) == "–"
-    assert with_error(0.5, np.inf) == "0.5 ± inf"
 
 
 def test_times_have_units_that_suit_them():
