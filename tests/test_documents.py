@@ -18,7 +18,7 @@ from averaging.phase_space.plane import elements, first_passage
 from averaging.time import MODAL_TOL
 from cases.command import studies
 from cases.command.app import app
-from cases.compare import answering, claims, doubt, quantity
+from cases.compare import claims, doubt, quantity
 from cases.compare.routes import all_routes
 from cases.scene import schema
 from cases.show import facts
@@ -123,7 +123,7 @@ CONSTANTS = {
         f"| masses of a scene | {schema.MAX_MASSES} |",
         f"| masses in `phase-space` | {phase_space.MOST_EXPANSION_MASSES}, stops on 1 of them,",
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
-        f"by plain simulation | {answering.LEAST_FAILURES:g} failures of the paths expected |",
+        f"by plain simulation | {passage.LEAST_TAIL_FAILURES:g} failures in the tail,",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"({refinement.SOLUTION_MEMORY:g} GB, `--memory`)",
         f"up to {phase_space.MOST_EXPANSION_MASSES} masses, stops on one",
@@ -160,7 +160,7 @@ CONSTANTS = {
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
         f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",
-        f"fewer than {answering.LEAST_FAILURES:g} failures of the paths",
+        f"fewer than {passage.LEAST_TAIL_FAILURES:g} failures in the tail",
         f"within {claims.ALMOST_L1} in L1 of the Gaussian",
         f"excess kurtosis of at most {claims.ALMOST_KURTOSIS}",
     ),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cases.compare.attempts import Attempts, Budget
-from cases.compare.in_time import Given, Replies, failure_of
+from cases.compare.in_time import Given, Replies
 from cases.compare.rare import SPLITTING, split_passage, splitting_of
 from cases.compare.routes import with_settings
 from cases.scene.questions import PassageQuestion, Question, TransientQuestion
@@ -22,10 +22,6 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
 from sim.sample.settings import LEAST_PATHS
-
-LEAST_FAILURES = 400.0
-"""Smallest expected number of failures by the last time for which a plain simulation runs, 5 % of
-its default 8192 paths; fewer do not give the failure rate, which continues the curve."""
 
 WINDOW_POINTS = 129
 """Number of equidistant points in a window, the interval in which p at one time is compared."""
@@ -52,8 +48,7 @@ def replies_of(
     ``attempts`` must have no refusals yet; refusals and notes are added to it. ``tol``: tolerance
     of solvers that do not sample, None, or if ``attempts`` relax: their defaults. Simulations of a
     first passage run until the last time. Splitting replaces the simulation of the full system if
-    no answer of the full system is certified; a simulation that would see few failures by an
-    earlier answer is not run.
+    no answer of the full system is certified, as where too few motions fail.
     """
     attempts, names = attempts or Attempts(), (question.name,)
     budget = attempts.budget
@@ -98,9 +93,6 @@ def replies_of(
         return attempts.at_default(label, at_tolerance, lambda answer: [answer.certificate])
 
     for method in able:
-        if reason := _too_rare(question, method, given):
-            attempts.refuse(method.route, names, reason)
-            continue
         ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
         # Splitting, for constant noise only, replaces the simulation of the full system if there
@@ -123,28 +115,6 @@ def replies_of(
     points, windows = window() if given else (None, ())
     ends = attempts.interrupted, tuple(attempts.notes)
     return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)
-
-
-def _too_rare(question: Question, method: Any, given: Sequence[Given]) -> str | None:
-    """Return why a simulation ``method`` would see fewer than ``LEAST_FAILURES``; else None.
-
-    Expected are its paths times the largest P(T <= last time) of the certified answers ``given``.
-    None also without such an answer, and for other methods and questions.
-    """
-    if not (method.route.sampled and isinstance(question, PassageQuestion) and question.times):
-        return None
-    known = [
-        (float(failure_of(g.answer)[0][-1]), g.route.label)
-        for g in given
-        if isinstance(g.answer, Passage) and g.answer.certificate.certified
-    ]
-    if not known or method.paths * max(known)[0] >= LEAST_FAILURES:
-        return None
-    probability, label = max(known)
-    return (
-        f"too rare for plain simulation: {label} expects {method.paths * probability:.2g} failures"
-        f" of {method.paths} paths by t = {question.times[-1]:g}"
-    )
 
 
 def window_of(

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, reduce
 from html import escape
 from itertools import chain, groupby, repeat
 from pathlib import Path
@@ -116,29 +116,20 @@ def refusals_of(curve: Record) -> list[Record]:
     """
     joined: dict[tuple[str, bool, bool], Record] = {}
     for r in curve["methods"]:
-        if r["applies"]:
-            continue
-        reason = r["reason"]
-        for name in r["observables"]:
-            reason = reason.removeprefix(f"{name}: ")
-        key = reason, r["failed"], r["gave_up"]
-        entry = joined.setdefault(key, {"solvers": {}, "observables": []})
-        entry["observables"] += [o for o in r["observables"] if o not in entry["observables"]]
-        entry["solvers"].setdefault(r["method"], {})[r["solver"]] = None
+        if not r["applies"]:
+            reason = reduce(str.removeprefix, (f"{o}: " for o in r["observables"]), r["reason"])
+            key = reason, r["failed"], r["gave_up"]
+            entry = joined.setdefault(key, {"methods": {}, "observables": {}})
+            entry["observables"] |= dict.fromkeys(r["observables"])
+            entry["methods"].setdefault(r["method"], {})[r["solver"]] = None
     for (reason, failed, gave_up), entry in joined.items():
-        methods = entry.pop("solvers")
-        routes = ", ".join(
+        routes = (
             theory_of_route(method)
             + (f" ({', '.join(own)})" if len(solvers_of(method)) > 1 else "")
-            for method, own in methods.items()
+            for method, own in entry["methods"].items()
         )
-        entry |= {
-            "methods": methods,
-            "routes": routes,
-            "reason": reason,
-            "failed": failed,
-            "gave_up": gave_up,
-        }
+        entry |= {"routes": ", ".join(routes), "observables": list(entry["observables"])}
+        entry |= {"reason": reason, "failed": failed, "gave_up": gave_up}
     return list(joined.values())
 
 

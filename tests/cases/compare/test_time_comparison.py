@@ -198,14 +198,10 @@ def test_rare_failure_is_left_to_splitting(monkeypatch):
     split = survival_answer([1.0] * 9, 1e-9, "sampling", rate=None, failure=[2e-9] * 9)
     monkeypatch.setattr(answering, "split_passage", lambda *asked, **how: split)
     monkeypatch.setattr(answering, "splitting_of", lambda plain: None)
-    answers = replies(Stub(FEM, rare), Stub(FULL, InvalidInput("x", 0, "was simulated")))
-    assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
-    assert "too rare for plain simulation" in answers.refused[0].reason and not answers.problems
-    # Not known before: the simulation itself says so.
     few = replace(rare, error_kind="sampling", certificate=certificate("3 failures are too few"))
-    answers = replies(Stub(FULL, few))
-    assert [g.route.label for g in answers.given] == ["splitting"]
-    assert answers.refused[0].reason == "3 failures are too few"
+    answers = replies(Stub(FEM, rare), Stub(FULL, few))
+    assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
+    assert answers.refused[0].reason == "3 failures are too few" and not answers.problems
     known = replace(rare, error_kind="sampling")
     assert [g.answer for g in replies(Stub(FULL, known)).given] == [known]
 
