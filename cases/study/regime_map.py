@@ -55,25 +55,19 @@ class RegimeMap:
         return {**own, "observable": observable_name(self.observable), "points": self.points}
 
     def variables(self) -> Variables:
-        """Return coordinates, "L1", "error" (theory, axes), "rms_ratio", "winner", "reference"."""
-        swept, name = self.sweep, observable_name(self.observable)
-        keys = tuple(axis.dimension for axis in swept.axes)
-        shape = [axis.values.size for axis in swept.axes]
-        ratio = np.array([p["rms_ratio"] for p in self.points], dtype=float).reshape(shape)
-        texts = {
-            key: np.array([p[key] for p in self.points], dtype=str).reshape(shape)
-            for key in ("winner", "reference")
-        }
-        distance = f"L1 distance of p({name}) to the full system"
-        moved = "how far chance and the solvers may have moved L1"
-        words = "smallest clearance over rms displacement without contact"
-        return {
-            "theory": (("theory",), np.array(swept.methods), {}),
-            **swept.coordinates(),
-            "L1": (("theory", *keys), swept.field("value")[0], {"long_name": distance}),
-            "error": (("theory", *keys), swept.field("error")[0], {"long_name": moved}),
-            "rms_ratio": (keys, ratio, {"long_name": words}),
-            **{key: (keys, own, {}) for key, own in texts.items()},
+        """Return the variables of the sweep, "rms_ratio", "winner" and "reference" (axes)."""
+        axes = self.sweep.axes
+        kinds = ("rms_ratio", float), ("winner", str), ("reference", str)
+        words = {"long_name": "smallest clearance over rms displacement without contact"}
+        return self.sweep.variables() | {
+            key: (
+                tuple(axis.dimension for axis in axes),
+                np.array([p[key] for p in self.points], dtype=kind).reshape(
+                    [axis.values.size for axis in axes]
+                ),
+                words if key == "rms_ratio" else {},
+            )
+            for key, kind in kinds
         }
 
     def page(self) -> Page:
@@ -113,7 +107,9 @@ class RegimeMap:
     def panels(self) -> list[Panel] | list[Field]:
         """Return a map over one parameter as curves, over two as fields."""
         fields, theories = self.variables(), list(map(reader_words, self.sweep.methods))
-        L1, error, ratio, winner = (fields[k][1] for k in ("L1", "error", "rms_ratio", "winner"))
+        (L1,), (error,), ratio, winner = (
+            fields[k][1] for k in ("value", "error", "rms_ratio", "winner")
+        )
         if len(self.sweep.axes) == 1:
             (axis,) = self.sweep.axes
             words = f"L₁ distance of p({symbol_of(self.observable[0])}) to the full system"

@@ -25,7 +25,6 @@ from sim.sample.settings import LEAST_PATHS, Settings
 from sim.sample.workers import interruptible, workers_of
 from sim.step.arrays import LANES, in_rows
 from sim.step.random import GOLDEN, start_displacements, stream_of
-from sim.step.schemes import covariance_factor
 from sim.step.step_size import chosen_step, relaxation_time, temperature
 
 MOST_STEPS, MOST_SAMPLES = 1 << 22, 64
@@ -132,9 +131,7 @@ def initial_states(
         raise NotApplicable("some motion is not damped: no stationary state to start from")
     whole = -(-paths // LANES) * LANES
     q = start_displacements(system, kT, stream.standard_normal((n, whole))).T
-    L = covariance_factor(np.diag(kT * system.mass))
-    p = (L @ stream.standard_normal((L.shape[1], whole))).T
-
+    p = stream.standard_normal((n, whole)).T * np.sqrt(kT * system.mass)
     check = watch.required("the burn-in") if watch else lambda share: False
     ended = lambda share: share < 1.0 and check(share)  # noqa: E731
     other = seed_of(seed + 2**63, number)  # differs from the seeds of all rounds

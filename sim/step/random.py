@@ -19,7 +19,6 @@ from fpk.numeric.arrays import Array
 from fpk.numeric.compiling import cached_njit, njit_inline
 from fpk.system.system import System
 from sim.step.arrays import LANES, MAX_TRAJECTORIES, in_blocks
-from sim.step.schemes import covariance_factor
 from sim.step.step_size import temperature
 
 Singles = NDArray[np.float32]
@@ -131,8 +130,8 @@ def start_states(system: System, seed: int, blocks: int) -> Array:
     are drawn, too: on a limit cycle the noise alone mixes phases slowly.
     """
     n, kT, first = system.n, temperature(system), 2**63 // MAX_TRAJECTORIES  # no step comes so far
-    L = covariance_factor(np.diag((kT if np.isfinite(kT) else 0.0) * system.mass))
-    p = L @ normals(seed, blocks * LANES, first, n)[: L.shape[1]]
+    deviation = np.sqrt((kT if np.isfinite(kT) else 0.0) * system.mass)
+    p = deviation[:, None] * normals(seed, blocks * LANES, first, n)
     q = np.zeros_like(p)
     if system.damping_terms:
         q = start_displacements(system, kT, normals(seed, blocks * LANES, first + n, n))

@@ -23,8 +23,9 @@ def test_a_map_by_simulation_is_written(answer, tmp_path):
     assert winners[0.01, 0.5] == winners[100.0, 2.0] == "integrable"
     assert winners[100.0, 0.5] == "nonintegrable"
     with xr.open_dataset(tmp_path / "regime.nc", engine="h5netcdf") as data:
-        assert data["L1"].shape == (2, 2, 2) and np.all(data["L1"] > 0)
-        best = data["L1"].sel(theory="nonintegrable").sel({"contact.stiffness": 100}).values
+        distance = data["value"][0]
+        assert distance.shape == (2, 2, 2) and np.all(distance > 0)
+        best = distance.sel(route="nonintegrable").sel({"contact.stiffness": 100}).values
         assert best[0] < best[1]
     assert (tmp_path / "regime.csv").read_text().count("\n") == 5
 
