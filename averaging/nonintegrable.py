@@ -13,7 +13,7 @@ from averaging.energy_process import (
     state_closed_form,
 )
 from averaging.gaussian import state_rows
-from averaging.modal.time.closed_form import orbit_transient
+from averaging.modal.time.closed_form import energy_transient, orbit_transient
 from averaging.theory import EnergyTheory, energy_only_refusal
 from averaging.time import modal_limits, state_transient, with_energy_start
 from averaging.weyl import StateDensity, density_by_tables
@@ -102,7 +102,7 @@ class NonIntegrable(EnergyTheory):
         if not by_elements:
             closed, energy = square_root(system, self.solver), float(start.energies[0])
             if of_energy:
-                return closed.transient(energy, start.noise, times, at[0], tol=tol)
+                return energy_transient([(closed, energy)], asked)
             rows = state_rows(observable, system.n)
             # At temperature 1; K and M are not coupled.
             shape = block_diag(system.compliance, np.diag(system.mass))[np.ix_(rows, rows)]

@@ -10,14 +10,12 @@ from math import exp, expm1, pi, sqrt
 import numpy as np
 from scipy.special import gammaln, ive, xlogy
 
-from fpk.answer.certificate import Measured, certify
 from fpk.answer.dynamics import (
     BEYOND_RANGE,
     NO_NOISE_YET,
     START_POINTS,
     Passage,
     Rates,
-    Transient,
     certify_passage,
     certify_rates,
 )
@@ -73,21 +71,6 @@ class SquareRoot:
         values = self.c * np.arange(1.0, count + 1.0)
         return certify_rates(values, (4.0 * EPS + self.relative_error) * values, tol=tol)
 
-    def transient(
-        self, start: float, noise: float | None, times: Array, at: Array, *, tol: float
-    ) -> Transient:
-        """Return the densities at ``times`` and energies ``at``, certified to the L1 ``tol``.
-
-        From the energy ``start`` (``noise`` None) H is θ_t/2 times a noncentral χ² of 2n degrees.
-        From the stationary state under ``noise`` times d it has a gamma density; ``start`` is 0.
-        Raises ``InvalidInput`` if, from an energy, no noise has acted before one of the times.
-        """
-        each = times.tolist()
-        values, errors = np.array([self.density(start, noise, t, at) for t in each]).swapaxes(0, 1)
-        error, mass, least = np.max([self.judged(start, noise, t) for t in each], axis=0).tolist()
-        measured = Measured(error, mass, -least, None, None)
-        return Transient(times, values, errors, "numerical", certify(measured, tol=tol))
-
     def density(self, start: float, noise: float | None, t: float, H: Array) -> tuple[Array, Array]:
         """Return the density at time ``t`` and energies ``H`` of any shape, and its absolute error,
         of the same shape; both are 0 for H < 0. For ``start`` and ``noise`` see ``scales``."""
@@ -99,10 +82,10 @@ class SquareRoot:
         p = np.where(H >= 0.0, np.exp(log_p) / theta, 0.0)
         return p, np.where(H >= 0.0, p * log_error + SMALLEST, 0.0)
 
-    def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float, float]:
-        """Return the integrated error that ``density`` states at ``t``, |∫p − 1|, −min p/max p.
+    def judged(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
+        """Return the integrated error that ``density`` states at ``t``, and |∫p − 1|.
 
-        All three are by quadrature. For ``start`` and ``noise`` see ``transient``.
+        Both are by quadrature. For ``start`` and ``noise`` see ``scales``.
         """
         theta, left = self.scales(start, noise, t)
         mean, width = self.n * theta + left, sqrt(theta * (self.n * theta + 2.0 * left))
@@ -110,7 +93,7 @@ class SquareRoot:
         nodes = np.linspace(max(mean - DEPTH * width, 0.0), mean + DEPTH * width, 161)
         H, w = (part.ravel() for part in panel_rule(nodes, 20))
         p, error = self.density(start, noise, t, H)
-        return float(w @ error), abs(float(w @ p) - 1.0), -float(p.min() / p.max())
+        return float(w @ error), abs(float(w @ p) - 1.0)
 
     def scales(self, start: float, noise: float | None, t: float) -> tuple[float, float]:
         """Return θ_t and the remaining initial energy ``start`` e^(−c ``t``) (``noise`` None).

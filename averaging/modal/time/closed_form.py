@@ -61,15 +61,14 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
     The start of ``asked`` is an ``EnergyStart``. Raises ``NotApplicable`` for damping terms, and
     for H of more than two modes of unequal damping or noise; otherwise as ``orbit_transient``.
     """
-    observable, start, times, at = asked.observable, asked.start, asked.times, asked.at
-    modulation = asked.system.modulation
+    observable, start, modulation = asked.observable, asked.start, asked.system.modulation
     every = [(_mode(modes, m, modulation), H) for m, H in enumerate(start.energies.tolist())]
     if {c.kind for c in observable} <= {"q", "p"}:
         # Covariances of the contributions of the modes to (q, p) = S (ω Q, P).
         S = modes.state_shapes[state_rows(observable, modes.n)].reshape(len(observable), 2, modes.n)
         shares = np.einsum("ixm,jxm->mij", S, S)
         return orbit_transient([(*own, C) for own, C in zip(every, shares, strict=True)], asked)
-    require_times(times, positive=start.noise is None)
+    require_times(asked.times, positive=start.noise is None)
     rows = modes_of_observable(observable)
     parts = [every[m] for m in rows or range(modes.n)]
     if not rows and (total := _equal_modes(modes, modulation)):
@@ -78,6 +77,17 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
         raise NotApplicable(
             "the sum of more than two modal energies that are not alike is not given"
         )
+    return energy_transient(parts, asked)
+
+
+def energy_transient(parts: Sequence[tuple[SquareRoot, float]], asked: Asked) -> Transient:
+    """Return the densities of independent energies, or of the sum of two.
+
+    ``parts`` are the processes and the initial values of the energies; there is a sum if the
+    ``asked.observable`` has fewer coordinates. The start of ``asked`` is an ``EnergyStart``. Raises
+    ``InvalidInput`` if, from an energy, no noise has acted before one of the times.
+    """
+    start, times, at = asked.start, asked.times, asked.at
     values, errors = np.empty((2, times.size, at[0].size))
     worst = np.zeros(2)  # largest L1 error and largest defect of the mass
     for k, t in enumerate(times.tolist()):
@@ -87,7 +97,7 @@ def transient(modes: ModalAnalysis, asked: Asked) -> Transient:
         else:
             values[k], errors[k] = _convolution(each, at[0])
         own = [mode.judged(H, start.noise, t) for mode, H in parts]
-        worst = np.maximum(worst, np.sum(own, axis=0)[:2])
+        worst = np.maximum(worst, np.sum(own, axis=0))
     highest = np.max(errors / np.max(values, axis=1, initial=SMALLEST, keepdims=True), initial=0.0)
     l1, defect = float(np.max([worst[0], highest])), float(worst[1])
     measured = Measured(l1, defect, float(values.min(initial=0.0)), None, None)
