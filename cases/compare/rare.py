@@ -6,20 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from averaging.energy_process import energy_process
 from cases.scene.questions import PassageQuestion
 from cases.scene.written import bound
 from fpk.answer.certificate import Measured, certify, tolerance
 from fpk.answer.dynamics import Passage
 from fpk.answer.method import Progress, Route
 from fpk.answer.quantities import Number
-from fpk.numeric.arrays import Array
-from fpk.numeric.errors import InvalidInput, NotApplicable
-from fpk.solvers.line.time.passage import chain_first_passage
+from fpk.numeric.errors import NotApplicable
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
 from sim.questions.passage import LEAST_TAIL_FAILURES, horizon
-from sim.questions.splitting.kernel import ScoreFunction
 from sim.questions.splitting.run import Splitting, rare_failure
 
 SPLITTING = Route(
@@ -41,10 +37,6 @@ below 1e-10 cannot be estimated from the independent runs."""
 AIM, MOST_ERROR = 0.2, 0.5
 """Relative errors of P(T <= t): the aim of splitting in place of a simulation, and the largest that
 is certified."""
-
-SCORE_TOL, LEAST_SCORE = 1e-4, 1e-12
-"""Tolerance of the averaged failure probability as a score, and its smallest useful value from rest
-at the last time: it is computed as 1 − reliability, which has no digits below 1e-12."""
 
 
 def passage_answer(
@@ -107,8 +99,7 @@ def split_passage(
 
     A relative error of P(T <= t) above ``MOST_ERROR`` or above ``tol`` is not certified;
     ``settings.tol`` is the error aimed at; the error of a probability of 0 is its upper bound.
-    The score is ``score_of_averaged_energy``, or least action if it is None. Moments are NaN and
-    the failure rate, which is defined for t → ∞, is None.
+    Moments are NaN and the failure rate, which is defined for t → ∞, is None.
 
     Raises ``NotApplicable`` if no time is > 0.
     """
@@ -116,11 +107,10 @@ def split_passage(
     failure, errors = np.zeros((2, times.size))
     if not np.any(times > 0.0):
         raise NotApplicable("splitting needs a time after the start")
-    score = score_of_averaged_energy(system, question)
     words, shares, steps = list[str](), list[float](), list[float]()
     for k in np.flatnonzero(times > 0.0):
         asked = system, question.limit, question.start, float(times[k])
-        row = rare_failure(*asked, score=score, settings=settings, progress=progress)
+        row = rare_failure(*asked, settings=settings, progress=progress)
         failure[k] = row.probability
         errors[k] = row.error if failure[k] > 0.0 else row.upper_bound
         shares.append(errors[k] / (failure[k] if failure[k] > 0.0 else errors[k]))
@@ -133,33 +123,9 @@ def split_passage(
         residual=None, tail_mass=None, failures=tuple(words),
     )  # fmt: skip
     how = {name: getattr(settings, name) for name in ("replicas", "repetitions", "seed")}
-    how |= {"score": "averaged reliability" if score else "least action", "dt": min(steps)}
+    how["dt"] = min(steps)
     return Passage(
         Number(nan, inf), Number(nan, inf), None, times, 1.0 - failure, errors, "sampling",
         certify(measured, tol=inf if tol is None else tol, sampled=True), None, how,
         failure, errors,
     )  # fmt: skip
-
-
-def score_of_averaged_energy(system: System, question: PassageQuestion) -> ScoreFunction | None:
-    """Return ln P(failure | energy, remaining time) of the averaged energy, Eq. (24).
-
-    It maps energies (m,) and times (k,) to (k, m), values at least ln 1e-300. None for a limit of
-    another quantity than H, where energy averaging does not apply, and if P(failure) from rest by
-    the last time is at most ``LEAST_SCORE``.
-    """
-    if question.limit.kind != "H":
-        return None
-    limit, last = question.limit.value, np.array([question.times[-1]])
-
-    def score(energies: Array, times: Array) -> Array:
-        passage = chain_first_passage(process, limit, times=times, tol=SCORE_TOL)
-        failure, _ = passage.failure(times, energies)
-        return np.asarray(np.log(np.maximum(failure, 1e-300)))
-
-    try:
-        process = energy_process(system)
-        at_rest = float(score(np.zeros(1), last)[0, 0])
-    except (NotApplicable, InvalidInput):  # also a limit out of reach of double precision
-        return None
-    return score if at_rest > np.log(LEAST_SCORE) else None

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from fpk.numeric.arrays import Array
 from fpk.system.linear import diffusion_matrix, drift_matrix, flow_covariance
@@ -45,17 +46,11 @@ def covariance_factor(covariance: Array) -> Array:
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     inverse = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
-    rest = covariance * np.outer(inverse, inverse)
-    columns = []
-    for _ in range(scale.size):
-        pivot = int(np.argmax(np.diag(rest)))
-        if rest[pivot, pivot] <= 1e-13 * scale.size:  # round-off of its own variance
-            break
-        column = rest[:, pivot] / np.sqrt(rest[pivot, pivot])
-        rest = rest - np.outer(column, column)
-        rest[pivot, :] = rest[:, pivot] = 0.0
-        columns.append(column * scale)
-    return np.array(columns).T if columns else np.zeros((scale.size, 0))
+    unit, least = covariance * np.outer(inverse, inverse), 1e-13 * scale.size
+    lower, order, rank, _ = dpstrf(unit, tol=least, lower=True)
+    factor = np.empty((scale.size, rank))
+    factor[order - 1] = np.tril(lower)[:, :rank]
+    return scale[:, None] * factor
 
 
 def lower_trapezoidal(factor: Array) -> Array:
