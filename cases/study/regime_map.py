@@ -10,8 +10,8 @@ import numpy as np
 from cases.compare.quantity import AVERAGING
 from cases.scene.numbers import with_numbers
 from cases.scene.scene import Scene
-from cases.show.pictures.panel import Field, Panel, curves_over, spans_decades
-from cases.show.pictures.style import COLOURS, symbol_of
+from cases.show.pictures.panel import Field, Panel, spans_decades
+from cases.show.pictures.style import COLOURS
 from cases.show.records import Record
 from cases.show.study_page import Page, Table
 from cases.show.variables import Variables
@@ -111,11 +111,7 @@ class RegimeMap:
             fields[k][1] for k in ("value", "error", "rms_ratio", "winner")
         )
         if len(self.sweep.axes) == 1:
-            (axis,) = self.sweep.axes
-            words = f"L₁ distance of p({symbol_of(self.observable[0])}) to the full system"
-            curves = curves_over(axis, theories, L1, error)
-            how: dict[str, Any] = {"logarithmic": axis.logarithmic, "by_x": True}
-            return [Panel(self.scene.title, axis.label, words, curves, **how)]
+            return self.sweep.panels()
         x, y = self.sweep.axes
         # Colours end at the error of a reference: beyond it chance decides.
         low = max(np.nanmin(L1, initial=0.1), REFERENCE_TOL)

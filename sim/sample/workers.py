@@ -90,7 +90,10 @@ def workers_of(address: str | None, threads: int = 1) -> Iterator[Workers]:
     """
     if address is None:
         with ThreadPoolExecutor(threads) as executor:
-            yield Workers(executor, threads)
+            try:
+                yield Workers(executor, threads)
+            finally:  # after an exception no further task begins
+                executor.shutdown(wait=False, cancel_futures=True)
         return
 
     def unavailable(words: str) -> Unavailable:

@@ -1,7 +1,6 @@
 """Sweeps: quantities by several methods over a grid of one or two numbers of a system."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -382,16 +381,9 @@ def _finish_points(
     Else one after the other, as a simulation takes all cores; ``side_by_side``: one on each core.
     """
     alone = replace(method, cluster=None, threads=1)
-    if todo and method.cluster is not None:
-        with workers_of(method.cluster) as workers:
+    if todo and (side_by_side or method.cluster is not None):
+        with workers_of(method.cluster, usable_cores()) as workers:
             yield from workers.as_finished([partial(point, alone) for point in todo])
-    elif side_by_side:
-        pool = ThreadPoolExecutor(usable_cores())
-        try:
-            for future in as_completed([pool.submit(point, alone) for point in todo]):
-                yield future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
     else:
         yield from (point(method) for point in todo)
 
