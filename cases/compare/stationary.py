@@ -9,7 +9,7 @@ from typing import Any
 
 from cases.compare.answering import replies_of
 from cases.compare.answers import Answers
-from cases.compare.attempts import INTERRUPTED, REFUSALS, Attempts, Budget
+from cases.compare.attempts import REFUSALS, Attempts, Budget
 from cases.compare.in_time import Replies
 from cases.scene.questions import Question
 from cases.scene.scene import Scene
@@ -56,9 +56,6 @@ def answers_of(
     results: list[Result] = []
     for method, (taken, plan) in zip(methods, offers, strict=True):
         refuse = partial_of(attempts.refuse, method.route)
-        if attempts.interrupted:
-            refuse(map(observable_name, observables), INTERRUPTED)
-            continue
         reasons = {o: plan if isinstance(plan, str) else plan.refusal(o) for o in observables}
         for reason in dict.fromkeys(filter(None, reasons.values())):
             refuse((observable_name(o) for o, r in reasons.items() if r == reason), reason)

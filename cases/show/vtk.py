@@ -54,11 +54,8 @@ def write_pvd(outcome: Outcome, path: Path) -> list[Path]:
                 entry = {"timestep": repr(float(numbers[k])), "part": str(part)}
                 entries[each] = entry | {"name": "stops" if part else name}
         if entries:
-            own = (
-                path
-                if len(outcome.scene.observables) == 1
-                else path.with_name(f"{path.stem}_{name}{path.suffix}")
-            )
+            alone = len(outcome.scene.observables) == 1
+            own = path if alone else path.with_name(f"{path.stem}_{name}{path.suffix}")
             written += _write_collection(own, entries)
     return written
 

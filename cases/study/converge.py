@@ -166,10 +166,8 @@ class ConvergenceStudy:
             if "by_tolerance" in e
         ]
         about += [f"{e['equation']}: {e['help']}" for e in self.equations if "help" in e]
-        units, subject = (
-            self.scene.units,
-            "Averaged equations" if self.name == "converge" else self.name,
-        )
+        units = self.scene.units
+        subject = "Averaged equations" if self.name == "converge" else self.name
         of_errors = {"mean energy": units.quantity("energy")}
         if len(dimensions := {e["dimension"] for e in self.equations}) == 1 and units:
             powers = np.array(DIMENSIONS["H"]) * -dimensions.pop()
@@ -304,10 +302,8 @@ def study_panels(study: ConvergenceStudy) -> list[Panel]:
         axis: dict[str, Any] = {"limits": (1e-16, 10.0)}
         y = f"{key} error"
         if "observable" in e:
-            y, axis["floor"] = (
-                f"L₁ error of p({e['observable']})",
-                e["reference_error"] + DENSITY_ROUND_OFF,
-            )
+            y = f"L₁ error of p({e['observable']})"
+            axis["floor"] = e["reference_error"] + DENSITY_ROUND_OFF
         curves = [_in_unknowns(ladder, key) for ladder in own]
         panels.append(Panel(f"{name}; dashed: order of theory", "unknowns N", y, curves, **axis))
         in_degree = [x for x in e["ladders"] if x.family == "p" and e["dimension"] == 1]

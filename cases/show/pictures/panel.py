@@ -155,17 +155,14 @@ class Panel:
         def coincide(a: tuple[Curve, Array], b: tuple[Curve, Array]) -> bool:
             return np.array_equal(a[0].x, b[0].x) and bool(np.all(np.abs(a[1] - b[1]) <= width))
 
-        sets: list[list[tuple[Curve, Array]]] = []
-        for line in lines:
-            own = next((s for s in sets if coincide(s[0], line)), None)
-            if own is None:
-                sets.append([line])
-            else:
-                own.append(line)
         notes = []
-        for coincident in (s for s in sets if len(s) > 1):
+        while lines:
+            first, *others = lines
+            lines = [line for line in others if not coincide(first, line)]
+            if len(lines) == len(others):
+                continue
             groups: dict[str, list[str]] = {}
-            for curve, _ in coincident:
+            for curve, _ in (first, *(line for line in others if coincide(first, line))):
                 groups.setdefault(curve.brief or reader_words(curve.name), []).append(curve.group)
             words = [f"{n} ({', '.join(of)})" if any(of) else n for n, of in groups.items()]
             notes.append(f"the lines of {' and '.join(words)} coincide")

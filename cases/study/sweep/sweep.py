@@ -208,10 +208,8 @@ class Sweep:
     def panels(self) -> list[Panel] | list[Field]:
         """Return a panel for each quantity, over two axes one for each method with a value."""
         values, errors = self.field("value"), self.field("error")
-        names, each = (
-            list(map(reader_words, self.methods)),
-            zip(self.labels(), values, errors, strict=True),
-        )
+        names = list(map(reader_words, self.methods))
+        each = zip(self.labels(), values, errors, strict=True)
         if len(self.axes) == 1:
             (axis,) = self.axes
             return [

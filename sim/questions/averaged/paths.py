@@ -275,11 +275,8 @@ def energy_transient(method: Any, form: SquareRootForm, starts: Starts, asked: A
     ``tol`` one, and more until the expected L1 error is below it at all times, or ``seconds`` of
     wall time have passed.
     """
-    paths, seed, dt = (
-        method.paths,
-        method.seed,
-        method.step * float(np.min(form.scales / form.noise)),
-    )
+    paths, seed = method.paths, method.seed
+    dt = method.step * float(np.min(form.scales / form.noise))
     longest, many = (inf, (1,)) if form.damping is None else (dt, (2, 1))
 
     def seen(ensemble: EnergyEnsemble) -> list[Array]:
