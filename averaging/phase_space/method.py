@@ -150,13 +150,12 @@ class PhaseSpace(Theory):
                 )
             if system.n == 1:
                 return None
+            found, tol = ladders([observable], self._options()), self.accepted or self.tol
             try:
-                first = next(ladders([observable], self._options()))
+                reason, made[:] = out_of_reach(found, observable, self._options(), tol)
             except np.linalg.LinAlgError as error:
                 return f"solutions of low degree are of no use, {error}; use montecarlo"
-            made[:] = first.coarser, first.finest
-            tol = self.accepted or self.tol
-            return out_of_reach(first, observable, self._options(), tol) or None
+            return reason or None
 
         @breakdowns()
         def solve(

@@ -39,9 +39,9 @@ before it, and to the largest distance of the densities of single coordinates: s
 SLOWEST_FALL = 1.25
 """Smallest factor by which distances of successive solutions are taken to fall."""
 LIKELY_FALL, HOPELESS = 2.0, 0.01
-"""Factor by which errors are taken to fall with each solution, to tell beforehand what is out of
-reach: the median of 44 factors on random systems was 2.8, but large errors fall more slowly. An
-error up to the second value is worth an answer, whatever the tolerance."""
+"""Largest factor by which errors are taken to fall with each solution, to tell beforehand what is
+out of reach: the median of 44 factors on random systems was 2.8, but large errors fall more slowly.
+An error up to the second value is worth an answer, whatever the tolerance."""
 DENSITY_ROUND_OFF = 1e-11
 """L1 error by round-off, in double precision: at most 2.3e-12 against exact densities."""
 MOST_POLYNOMIALS = 90
@@ -196,23 +196,33 @@ def solution_ladder(
     yield replace(ladder, limit=limit)
 
 
-def out_of_reach(first: Ladder, observable: Observable, options: Options, tol: float) -> str:
-    """Return why no useful error is within reach, in words, or "" if one may be.
+def out_of_reach(
+    ladders: Iterator[Ladder], observable: Observable, options: Options, tol: float
+) -> tuple[str, list[Expansion]]:
+    """Return why no useful error is within reach, in words, or ""; and the solutions computed.
 
-    It may if the error of the first two solutions, ``first``, falls to ``tol`` or ``HOPELESS``, by
-    ``LIKELY_FALL`` with each further solution, before memory or work end them.
+    These are the first two, and a third if the error is above ``tol`` and ``HOPELESS``. It is out
+    of reach if it would not fall to the larger of these, by the factor of the third solution but
+    at most ``LIKELY_FALL`` with each, before memory or work end the ``ladders``.
     """
-    e, error, least = first.finest, first.errors[observable], max(tol, HOPELESS)
+    first = next(ladders)
+    made, error, least = [first.coarser, first.finest], first.errors[observable], max(tol, HOPELESS)
+    if error <= least:
+        return "", made
+    second = next(ladders)
+    made += [second.finest] * (not second.limit)
+    e, error = second.finest, second.errors[observable]
+    fall = min(LIKELY_FALL, first.errors[observable] / error)
     degrees, others = e.basis.degrees, e.others
+    known = f"the error is {error:.1g} at degree {degrees.total}"
     while error > least:
         degrees, others = next_degrees(e.basis.frame, degrees, others), others + 1
-        error /= LIKELY_FALL
+        error /= fall
         cost = solution_cost(basis(e.basis.frame, e.basis.reference, degrees))
-        if degrees.outer > MOST_POLYNOMIALS or options.refusal(*cost):
-            known = f"{first.errors[observable]:.1g} at degree {e.basis.degrees.total}"
+        if fall <= 1.0 or degrees.outer > MOST_POLYNOMIALS or options.refusal(*cost):
             end = f"would not fall to {least:g} before memory or work end"
-            return f"the error is {known}, and {end}; use montecarlo"
-    return ""
+            return f"{known}, and {end}; use montecarlo", made
+    return "", made
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
