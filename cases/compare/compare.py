@@ -50,7 +50,8 @@ class Comparison:
 
     ``L1`` is ∫|p_a − p_b| of two densities, or the difference of two numbers in the ``norm``.
     ``band`` is the allowed difference, None for a difference that is reported and not judged.
-    ``error``: uncertainty of ``L1`` by chance and by the solvers. ::
+    ``error``: uncertainty of ``L1`` by chance and by the solvers. ``uncertified`` names the routes
+    whose own checks fail: the difference is then no finding against the other route. ::
 
         for c in fpk.compare(fpk.solve(fpk.load("fig3a").system, ["q2"])):
             print(c.measures, c.L1, c.error, c.band, c.holds)
@@ -63,6 +64,7 @@ class Comparison:
     L1: float
     band: float | None
     error: float
+    uncertified: tuple[Route, ...] = ()
     norm: Norm = "L1"
 
     @property
@@ -100,7 +102,11 @@ def compare_densities(
         kind = what_is_measured(*routes, averaging_is_exact=exact)
         distance, expected, band = _distance(first, second)
         allowed = None if kind == "averaging" else band
-        comparisons.append(Comparison(a.name, *routes, kind, distance, allowed, expected))
+        pairs = zip(routes, (a, b), strict=True)
+        uncertified = tuple(route for route, d in pairs if not d.certificate.certified)
+        comparisons.append(
+            Comparison(a.name, *routes, kind, distance, allowed, expected, uncertified)
+        )
     return tuple(sorted(comparisons, key=lambda c: c.observable))
 
 
@@ -123,6 +129,11 @@ def discrepancies(
 def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
     """Return in words, "; …", which answer a difference speaks against; empty if undecided."""
     routes = (difference.a, difference.b)
+    if doubtful := difference.uncertified:
+        others = [r.label for r in routes if r not in doubtful]
+        innocent = f": no finding against {others[0]}" if others else ""
+        verb = "is" if others else "are"
+        return f"; {' and '.join(r.label for r in doubtful)} {verb} not certified{innocent}"
     agreeing = [
         (route.label, (c.b if c.a == route else c.a).label)
         for route in routes
@@ -130,7 +141,7 @@ def _doubt(difference: Comparison, comparisons: Sequence[Comparison]) -> str:
         if c.observable == difference.observable and route in (c.a, c.b)
         # Where just one of the two is sampled, no step of the calculation is shared.
         if c.a.sampled != c.b.sampled
-        if c.band is not None and c.holds
+        if c.band is not None and c.holds and not c.uncertified
     ]
     if len({route for route, _ in agreeing}) != 1:
         return ""

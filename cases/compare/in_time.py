@@ -85,6 +85,7 @@ class Replies:
                 a, b = b, a
             if kind == "averaging" and a.route.sampled and a.route.method in solved:
                 continue  # a solution of the same equation is more accurate
+            uncertified = tuple(g.route for g in (a, b) if not g.answer.certificate.certified)
             judged = kind != "averaging"
             if isinstance(a.answer, Passage) and isinstance(b.answer, Passage):
                 distances = passage_distances(a.answer, b.answer, judged)
@@ -96,7 +97,7 @@ class Replies:
                 if judged and not np.isfinite(band):
                     continue  # no error is stated: the answer is not certified
                 words, allowed = f"{self.question.name}: {name}", band if judged else None
-                own = words, a.route, b.route, kind, distance, allowed, error, norm
+                own = words, a.route, b.route, kind, distance, allowed, error, uncertified, norm
                 rows.append(Comparison(*own))
         return tuple(rows)
 

@@ -88,6 +88,12 @@ def compare_quantities(
     both ``reach``; None for averaging errors, and if a sample is too small to bound its error.
     """
     neglected = {r.method.route for r in results if r.neglected}
+    failed = [
+        (r.method.route, d.name)
+        for r in results
+        for d in r.densities
+        if not d.certificate.certified
+    ]
     comparisons = []
     for a, b in combinations(quantities, 2):
         difference, routes = abs(a.number.value - b.number.value), (a.route, b.route)
@@ -97,8 +103,9 @@ def compare_quantities(
         measures = what_is_measured(*routes, averaging_is_exact=exact)
         band = a.reach + b.reach
         allowed = band if measures != "averaging" and isfinite(band) else None
+        uncertified = tuple(route for route in routes if (route, a.observable) in failed)
         names, error = f"{a.observable}: {a.quantity}", a.number.error + b.number.error
-        own = names, *routes, measures, difference, allowed, error
+        own = names, *routes, measures, difference, allowed, error, uncertified
         comparisons.append(Comparison(*own, norm="absolute"))
     return tuple(comparisons)
 
