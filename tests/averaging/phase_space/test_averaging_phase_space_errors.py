@@ -170,8 +170,7 @@ def test_what_is_out_of_reach_is_refused_before_it_is_tried():
               2, "left", 31.4, 0.469, "bilinear")  # fmt: skip
     reason = PhaseSpace(tol=1e-3).refusal(hot, SINGLE[1])
     assert "would not fall to 0.01 before memory or work end; use montecarlo" in reason
-    # Errors of a tenth are within reach.
-    assert PhaseSpace(tol=0.1).refusal(hot, SINGLE[1]) is None
+    assert PhaseSpace(tol=1e-3).refusal(ONE_NOISE, SINGLE[1]) is None
     slaved = two([0.228, 2.4], [1.3, 1.77], [0.391, 0.0282], [0.0, 0.0457],
                  1, "left", 779.0, 0.151, "bilinear")  # fmt: skip
     assert "of no use" in PhaseSpace().refusal(slaved, SINGLE[1])
