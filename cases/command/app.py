@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from cases.command import authoring, completed, dynamics, parts, studies
+from cases.command import authoring, dynamics, parts, studies
 from cases.command.examples import EXAMPLES
 from cases.scene.errors import BadInput, misspelt, one_line
 from cases.study import STUDIES
@@ -70,18 +70,13 @@ def list_scenes() -> None:
 
 @app.command()
 @parts.scene_name
-@click.option("--out", type=parts.FOLDER, help="Folder for report, netCDF, pictures.")
+@parts.out(help="Folder for report, netCDF, pictures.")
 @parts.simulation_options
-@click.option(
-    "--of", multiple=True, metavar="OBS", help="Only this; may be given several times.",
-    shell_complete=completed.observables,
-)  # fmt: skip
-@click.option(
-    "--method",
+@parts.of(multiple=True, help="Only this; may be given several times.")
+@parts.method(
     "only",
     multiple=True,
     metavar="METHOD",
-    shell_complete=completed.methods,
     help="Only this method, or method/solver; may be given several times.",
 )
 @click.option("--simulation/--no-simulation", default=True, help="With the simulations, or not.")

@@ -25,13 +25,6 @@ if TYPE_CHECKING:
 LIST = '"-1.5:1.5:0.1", "-1,0,0.3"'
 
 
-def observable_option(words: str) -> Any:
-    """Return the required option ``--of`` of click, with the help text ``words``."""
-    return click.option(
-        "--of", metavar="OBS", required=True, help=words, shell_complete=completed.observables
-    )
-
-
 AT = click.option("--at", metavar="LIST", required=True, help=f'{LIST}, a pair "A x B".')
 TOL = click.option("--tol", type=float, help="Relative error wanted; a solver adapts to meet it.")
 SIMULATED = (parts.seed, parts.seconds, parts.threads, parts.dt)
@@ -143,12 +136,7 @@ def asking(*options: Any) -> Callable[[Callable[..., None]], click.Command]:
             )
 
         chosen = (
-            click.option(
-                "--method",
-                required=True,
-                help="One that gives it; others are refused.",
-                shell_complete=completed.methods,
-            ),
+            parts.method(required=True, help="One that gives it; others are refused."),
             click.option(
                 "--solver",
                 help="One of the solvers of the method.",

@@ -20,7 +20,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
     "--law", default="hertz", help="Contact law, such as bilinear; hertz by default.",
     shell_complete=completed.laws,
 )  # fmt: skip
-@click.option("--out", type=parts.FOLDER, help="File to write; NAME.toml if left out.")
+@parts.out(help="File to write; NAME.toml if left out.")
 @parts.as_json
 def new(name: str, masses: int, law: str, out: Path | None) -> None:
     """Write a commented scene to start from, and its JSON Schema beside it for editors.
@@ -79,7 +79,7 @@ def _print_facts(scene: str, command: str) -> None:
 
 
 @click.command()
-@click.option("--out", type=parts.FOLDER, help="File to write; printed if left out.")
+@parts.out(help="File to write; printed if left out.")
 def schema(out: Path | None) -> None:
     """Give the JSON Schema of a scene, by which an editor completes and checks it.
 

@@ -9,12 +9,12 @@ from typing import Any
 import click
 
 from cases.command import parts
-from cases.command.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking, observable_option
+from cases.command.asking import AT, LIST, MEMORY, SIMULATED, TOL, Asked, asking
 from cases.scene.errors import BadInput
 from fpk.answer.question import QUESTIONS, Question
 
 DISPLACEMENT = (
-    observable_option("A displacement: q1, q2, ..."),
+    parts.of(required=True, help="A displacement: q1, q2, ..."),
     click.option("--at", metavar="LIST", required=True, help=f"{LIST}."),
     TOL,
     *SIMULATED,
@@ -23,7 +23,7 @@ DISPLACEMENT = (
 
 
 @asking(
-    observable_option("q1.., p1.., H, H1.. or a pair a,b."),
+    parts.of(required=True, help="q1.., p1.., H, H1.. or a pair a,b."),
     AT,
     parts.simulation_options,
     MEMORY,
@@ -113,7 +113,7 @@ START = click.option(
 
 
 @asking(
-    observable_option("H, q1.., p1.., H1.. or a pair a,b."),
+    parts.of(required=True, help="H, q1.., p1.., H1.. or a pair a,b."),
     START,
     click.option("--times", metavar="LIST", required=True, help="Times after the start."),
     *(AT, TOL, *SIMULATED),

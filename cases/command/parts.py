@@ -7,7 +7,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import wrap
@@ -53,6 +53,10 @@ as_json = click.option(
     "--json", "as_json", is_flag=True, expose_value=False, help="Print one JSON object alone.",
     callback=lambda context, option, value: context.meta.update(json=value),
 )  # fmt: skip
+of = partial(click.option, "--of", metavar="OBS", shell_complete=completed.observables)
+method = partial(click.option, "--method", shell_complete=completed.methods)
+out = partial(click.option, "--out", type=FOLDER)
+checkpoint = partial(click.option, "--checkpoint", type=FOLDER)
 tol = click.option("--tol", type=float, help="L1 error wanted; a solver adapts to meet it.")
 seed = click.option("--seed", type=click.IntRange(0, 2**64 - 1), help="Seed of the simulation.")
 threads = click.option("--threads", type=click.IntRange(1), help="Threads of the simulation.")
@@ -77,9 +81,7 @@ simulation_options = with_options(
     dt,
     click.option("--allow-unstable", is_flag=True, help="Take a --dt beyond the limit."),
     cluster,
-    click.option(
-        "--checkpoint", type=FOLDER, help="Keep the simulation's state there, go on from it."
-    ),
+    checkpoint(help="Keep the simulation's state there, go on from it."),
 )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from cases.command import completed, parts
+from cases.command import parts
 from cases.scene.errors import BadInput
 from cases.study import STUDIES
 from fpk.numeric.errors import NotApplicable
@@ -43,11 +43,7 @@ def study(work: Callable[..., Any]) -> click.Command:
 
     @click.command()
     @parts.scene_name
-    @click.option(
-        "--out",
-        type=parts.FOLDER,
-        help="Folder: tables (.md), numbers (.nc), picture (.svg), .html.",
-    )
+    @parts.out(help="Folder: tables (.md), numbers (.nc), picture (.svg), .html.")
     @parts.seed
     @parts.as_json
     @wraps(work)
@@ -88,10 +84,7 @@ def command_of(name: str) -> click.Command | None:
 
 @study
 @click.option("--route", help="nonintegrable, integrable or montecarlo; all if left out.")
-@click.option(
-    "--of", metavar="OBS", help="H or H1,H2: the equation of that density.",
-    shell_complete=completed.observables,
-)  # fmt: skip
+@parts.of(help="H or H1,H2: the equation of that density.")
 @click.option(
     "--seconds", type=click.FloatRange(0.1), help="Processor time for the steps of each scheme."
 )
@@ -135,9 +128,7 @@ over_grid = parts.with_options(
     click.option("--paths", type=int, help="Paths of the simulation."),
     click.option("--time", type=float, help="Sampled time a path."),
     parts.cluster,
-    click.option(
-        "--checkpoint", type=parts.FOLDER, help="Folder for finished points, if not --out."
-    ),
+    parts.checkpoint(help="Folder for finished points, if not --out."),
     click.option(
         "--reference",
         type=click.Choice(["montecarlo", "phase-space"]),
@@ -176,10 +167,11 @@ def regime(scene: "Scene", vary: tuple[str, ...], **settings: Any) -> Any:
     help="rms(q2), quantile(q2,0.99), correlation(q1,q2), mean_force(1), upcrossing_rate(1,left),"
     " failure_rate(H=1.5), averaging_error(q2), ...",
 )  # fmt: skip
-@click.option(
-    "--method", multiple=True, metavar="METHOD[/SOLVER]", shell_complete=completed.methods,
+@parts.method(
+    multiple=True,
+    metavar="METHOD[/SOLVER]",
     help="One of several; left out, all that take milliseconds.",
-)  # fmt: skip
+)
 @parts.tol
 def sweep(
     scene: "Scene",
@@ -263,13 +255,8 @@ def _within_longest(methods: Sequence["Method"], scene: "Scene") -> list["Method
 
 @click.command()
 @parts.scene_name
-@click.option(
-    "--out", type=parts.FOLDER, required=True, help="File to write: .vtu, .pvd, .nc or .csv."
-)
-@click.option(
-    "--of", metavar="OBS", help="This density instead of the scene's own.",
-    shell_complete=completed.observables,
-)  # fmt: skip
+@parts.out(required=True, help="File to write: .vtu, .pvd, .nc or .csv.")
+@parts.of(help="This density instead of the scene's own.")
 @parts.tol
 @click.option("--simulate", is_flag=True, help="With the simulation of the full system.")
 @parts.seed
