@@ -53,29 +53,29 @@ def new(name: str, masses: int, law: str, out: Path | None) -> None:
     parts.end(record, lambda: words, list(texts))
 
 
-@click.command()
-@parts.scene_name
-@parts.as_json
-def check(scene: str) -> None:
-    """Say whether a scene is valid, which theories apply, and about what a run of it costs."""
-    _print_facts(scene, "check")
+def facts_command(name: str, words: str) -> click.Command:
+    """Return the command ``name``, "check" or "show", about a scene; ``words`` are its help."""
+
+    @click.command(name, help=words)
+    @parts.scene_name
+    @parts.as_json
+    def command(scene: str) -> None:
+        loaded = parts.load_checked(scene)
+        from cases.show import facts
+        from cases.show.text import render
+
+        record = getattr(facts, f"{name}_record")(loaded)
+        parts.end(record, lambda: render(f"{name}.txt", record))
+
+    return command
 
 
-@click.command()
-@parts.scene_name
-@parts.as_json
-def show(scene: str) -> None:
-    """Show the system, its effects, frequencies, and which theories apply and why."""
-    _print_facts(scene, "show")
-
-
-def _print_facts(scene: str, command: str) -> None:
-    loaded = parts.load_checked(scene)
-    from cases.show.facts import check_record, show_record
-    from cases.show.text import render
-
-    record = {"check": check_record, "show": show_record}[command](loaded)
-    parts.end(record, lambda: render(f"{command}.txt", record))
+check = facts_command(
+    "check", "Say whether a scene is valid, which theories apply, and about what a run of it costs."
+)
+show = facts_command(
+    "show", "Show the system, its effects, frequencies, and which theories apply and why."
+)
 
 
 @click.command()

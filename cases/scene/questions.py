@@ -76,21 +76,16 @@ def passages_of(tables: Sequence[Mapping[str, Any]], system: System) -> tuple[Pa
     """
     questions = []
     for k, table in enumerate(tables, start=1):
-        place = f"passage[{k}]"
-        with _name_table(place):
+        with _name_table(f"passage[{k}]"):
             limit = parse_limit(table["limit"], system.n)
             start = _start(table, system)
             require_below(system, limit, start)
             times = _times(table)
-        claims: dict[str, Any] = {
-            key: range_of(f"{place}.{key}", table[key])
-            for key in ("rate_error", "failure_error")
-            if key in table
-        }
-        if "failure_error" in claims and not times:
-            raise InvalidInput(f"{place}.times", None, "failure_error is about them; add them")
-        if "theory" in table:
-            claims["theory"] = table["theory"]
+            ranges = [key for key in ("rate_error", "failure_error") if key in table]
+            claims: dict[str, Any] = {key: range_of(key, table[key]) for key in ranges}
+            known = times or "failure_error" not in claims
+            require(known, "times", None, "failure_error is about them; add them")
+        claims |= {key: table[key] for key in table.keys() & {"theory"}}
         questions.append(PassageQuestion(limit, start, times, **claims))
     return tuple(questions)
 

@@ -252,20 +252,13 @@ def verify_row(digest: Record) -> Record:
         if all(c["band"] is None for answers in part for c in answers["comparisons"])
     ]
     problems = [*digest["problems"], *unjudged]
-    taken = [method for curve in curves for method in curve["methods"] if method["applies"]]
-    in_time = [
-        answer["certificate"]["certified"]
-        for curve in curves
-        for question in curve["passages"] + curve["transients"]
-        for answer in question["answers"]
-    ]
+    answers = [d for c in curves for m in c["methods"] if m["applies"] for d in m["densities"]]
+    answers += [a for c in curves for q in c["passages"] + c["transients"] for a in q["answers"]]
     return {
         "scene": digest["scene"],
         "curves": len(curves),
         "judged": digest["judged"],
-        "certificates": sum(
-            [d["certificate"]["certified"] for m in taken for d in m["densities"]] + in_time
-        ),
+        "certificates": sum(answer["certificate"]["certified"] for answer in answers),
         "problems": problems,
         "claims": digest["claims"],
         "seconds": digest["seconds"],

@@ -39,6 +39,13 @@ JUDGE = 5e-4
 SLOW_SOLVE = 0.4
 """Seconds of one solve beyond which a route is not refined further: the next takes up to ten times
 as long in two dimensions."""
+COLUMNS = {
+    "error": "L1 error",
+    "spread": "quartiles ±",
+    "first": "first call more",
+    "step": "seconds a step",
+}
+"""Names of columns of tables by the fields of ``Level`` and ``Law``, where these differ."""
 DRAWN_ERROR, DRAWN_SECONDS = 1e-4, 3600.0
 """Error and seconds to which the law of sampling is drawn: an hour."""
 MEANING = (
@@ -105,20 +112,11 @@ class CostStudy:
 
     def page(self) -> Page:
         """Return what ``fpk cost`` shows and writes."""
-        columns = {
-            "settings": "settings",
-            "error": "L1 error",
-            "stated": "stated",
-            "unknowns": "unknowns",
-            "seconds": "seconds",
-            "spread": "quartiles ±",
-            "first": "first call more",
-            "coefficients": "coefficients",
-            "memory": "memory",
-        }
+        errors, times = ("error", "stated", "unknowns"), ("seconds", "spread", "first")
+        columns = "settings", *errors, *times, "coefficients", "memory"
         measured = [
             {"equation": route.equation, "route": route.route}
-            | {column: getattr(point, key) for key, column in columns.items()}
+            | {COLUMNS.get(key, key): getattr(point, key) for key in columns}
             for route in self.routes
             for point in route.points
             if not point.modelled
@@ -140,13 +138,7 @@ class CostStudy:
             "Numbers of elements above are right for this scene. A tolerance is met on every scene,"
             " or the answer is not certified: --tol of fpk run and fpk density is this setting."
         )
-        laws = [
-            {
-                "seconds a step" if key == "step" else key: value
-                for key, value in asdict(law).items()
-            }
-            for law in self.laws
-        ]
+        laws = [{COLUMNS.get(k, k): v for k, v in asdict(law).items()} for law in self.laws]
         law = (
             "L1 = noise/√(paths x time) + bias dt^order, the bias an upper bound where it is not"
             " resolved; (dt, N) is the cheapest path under it, one thread."
