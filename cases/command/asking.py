@@ -55,27 +55,28 @@ class Asked:
         about: str,
         given: "Record",
         work: Callable[..., Any],
-        text: Callable[["Record"], str],
         **settings: Any,
     ) -> None:
         """Print the answer ``work(method, tol=, progress=)``; status 1 if it is not certified.
 
         ``about`` names this answer in problems. ``given`` are the entries of the record that repeat
-        the ``question``, ``text(record)`` returns the words to print. The first solver that answers
-        is used, or ``solver`` alone; ``settings`` are further settings of the method. Raises
+        the ``question``, by which its words are chosen. The first solver that answers is used, or
+        ``solver`` alone; ``settings`` are further settings of the method. Raises
         ``BadInput`` for a method that does not answer the question, does not apply, or lacks one
         of the settings, and ``click.exceptions.Exit(1)`` for the status.
         """
-        from cases.show.records import answer_record, equation_words
+        from cases.show import records
         from cases.show.words import reader_words
 
         method, answer, note, seconds = self._answer(question, work, {**self.settings, **settings})
-        record = answer_record(self.scene, method, given, answer, seconds, key=question.key)
+        record = records.answer_record(self.scene, method, given, answer, seconds, key=question.key)
         failures = record["certificate"]["failures"]
         problems = [f"{about} is not certified: {failure}" for failure in failures]
         record["notes"] = [note] if note else []
         words = map(reader_words, (*record["notes"], *record["averaging_notes"]))
-        notes = [f"# {line}" for line in (equation_words(record), *words)]
+        notes = [f"# {line}" for line in (records.equation_words(record), *words)]
+        special = {"passage": records.passage_text, "relaxation": records.rates_text}
+        text = special.get(question.name, records.columns_text)
         parts.end(record, lambda: "\n".join([text(record), *notes]), problems=problems)
 
     def _answer(

@@ -32,7 +32,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     """Give one density at the points asked for."""
     observable = parts.observable_of(of, asked.scene)
     from cases.scene.points import parse_points
-    from cases.show.records import columns_text, point_list
+    from cases.show.records import point_list
     from fpk.answer.dynamics import Curve
     from fpk.answer.method import Method
     from fpk.answer.names import observable_name
@@ -52,7 +52,7 @@ def density(asked: Asked, of: str, at: str) -> None:
     given = {"observable": observable_name(observable), "points": point_list(points)}
     solving = Question("solve", "density", ("observables",), "density")  # all methods do
     own: Any = {"tol": asked.tol, "partial": True}
-    asked.reply(solving, of, given, work, columns_text, **own)
+    asked.reply(solving, of, given, work, **own)
 
 
 @asking(
@@ -66,14 +66,11 @@ def relaxation(asked: Asked, rates: int) -> None:
     They are the real parts of eigenvalues, beside the imaginary parts, angular frequencies; of a
     conjugate pair one is listed.
     """
-    from cases.show.records import rates_text
-
     asked.reply(
         QUESTIONS["relaxation"],
         "relaxation",
         {},
         lambda method, **how: method.relaxation(asked.scene.system, rates, **how),
-        rates_text,
     )
 
 
@@ -86,7 +83,6 @@ def command_of(name: str) -> click.Command | None:
     def curve(asked: Asked, of: str, at: str) -> None:
         observable, system = parts.observable_of(of, asked.scene), asked.scene.system
         from cases.scene.points import parse_points
-        from cases.show.records import columns_text
         from fpk.system.modulation import require_constant_noise
 
         if len(observable) != 1 or observable[0].kind != "q":
@@ -98,7 +94,7 @@ def command_of(name: str) -> click.Command | None:
             return getattr(method, name)(system, observable, points, **how)
 
         given = {"observable": str(observable[0]), "points": points}
-        asked.reply(question, f"{name} of {of}", given, work, columns_text)
+        asked.reply(question, f"{name} of {of}", given, work)
 
     curve.__name__, curve.__doc__ = name, question.help
     return asking(*DISPLACEMENT)(curve)
@@ -122,7 +118,7 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
     """Give the density of an observable at times after a start."""
     system, observable = asked.scene.system, parts.observable_of(of, asked.scene)
     from cases.scene.points import parse_points
-    from cases.show.records import columns_text, point_list
+    from cases.show.records import point_list
     from fpk.answer.names import observable_name, parse_start
 
     begin = parts.read("start", start, lambda: parse_start(start, system))
@@ -133,7 +129,6 @@ def transient(asked: Asked, of: str, start: str, times: str, at: str) -> None:
         f"the density of {of}",
         {"observable": name, "start": str(begin), "points": point_list(points)},
         lambda method, **how: method.transient(system, observable, begin, later, points, **how),
-        columns_text,
     )
 
 
@@ -156,7 +151,6 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
     """
     from cases.compare.rare import passage_answer
     from cases.scene.questions import PassageQuestion, require_below
-    from cases.show.records import passage_text
     from fpk.answer.names import parse_limit, parse_start
 
     system = asked.scene.system
@@ -169,7 +163,6 @@ def passage(asked: Asked, limit: str, start: str, times: str | None) -> None:
         "first passage",
         {"limit": str(end), "start": str(begin)},
         lambda method, **how: passage_answer(method, system, question, **how),
-        passage_text,
     )
 
 

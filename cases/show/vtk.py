@@ -83,9 +83,8 @@ def write_time_pvd(outcome: Outcome, folder: Path) -> list[Path]:
                 data[name] = g.answer.values[j]
                 data[f"error of {name}"] = g.answer.errors[j]
             file = folder / f"transient_{k}_{j}.vtu"
-            words: dict[str, str | float] = {**_origin(outcome)}
-            words |= {"quantity": replies.question.name, "time": time}
-            _write_mesh(meshio.Mesh(points, lines, point_data=data), words, file)
+            words: dict[str, str | float] = {"quantity": replies.question.name, "time": time}
+            _write_mesh(outcome, meshio.Mesh(points, lines, point_data=data), words, file)
             entries[file] = {"timestep": repr(time), "part": "0"}
         written += _write_collection(folder / f"transient_{k}.pvd", entries)
     return written
@@ -110,7 +109,6 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
     name, units = observable_name(observable), outcome.scene.units
     largest = float(mesh.point_data["density"].max())
     data: dict[str, str | float] = {
-        **_origin(outcome),
         "curve": curve.label,
         "observable": name,
         "axes": ", ".join(f"{c}{in_brackets(units.coordinate(c))}" for c in observable),
@@ -120,13 +118,12 @@ def _write(outcome: Outcome, curve: Answers, observable: Observable, path: Path)
         "subdivision error": subdivision,
         "largest density": largest,
     }
-    _write_mesh(mesh, data, path)
+    _write_mesh(outcome, mesh, data, path)
     stops = stop_planes(curve.system, observable, mesh.points, largest)
     if stops is None:
         return [path]
     beside = path.with_name(f"{path.stem}_stops.vtu")
-    words: dict[str, str | float] = {**_origin(outcome), "quantity": f"stops beside {name}"}
-    _write_mesh(stops, words, beside)
+    _write_mesh(outcome, stops, {"quantity": f"stops beside {name}"}, beside)
     return [path, beside]
 
 
@@ -158,14 +155,13 @@ def stop_planes(
     return meshio.Mesh(np.array(corners), [("quad", cells)], cell_data={"mass": [np.array(masses)]})
 
 
-def _origin(outcome: Outcome) -> dict[str, str]:
-    return {key.replace("_", " "): text for key, text in attributes_of(outcome.scene).items()}
-
-
-def _write_mesh(mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path) -> None:
-    """Write ``mesh``, and ``data`` as field data with texts as codes that end with 0."""
-    root = ElementTree.Element("FieldData")
-    for name, value in data.items():
+def _write_mesh(
+    outcome: Outcome, mesh: meshio.Mesh, data: Mapping[str, str | float], path: Path
+) -> None:
+    """Write ``mesh``, and ``attributes_of`` the scene and ``data`` as field data, texts as codes
+    that end with 0."""
+    root, origin = ElementTree.Element("FieldData"), attributes_of(outcome.scene)
+    for name, value in {**{k.replace("_", " "): v for k, v in origin.items()}, **data}.items():
         kind = "Float64" if isinstance(value, float) else "String"
         entry = {"type": kind, "Name": name, "NumberOfTuples": "1", "format": "ascii"}
         codes = [value] if isinstance(value, float) else [*value.encode(), 0]
