@@ -17,7 +17,7 @@ from cases.scene.units import DIMENSIONS, Units, in_brackets
 from cases.show.pictures.panel import Curve, Panel
 from cases.show.study_page import Page, Table
 from cases.study import OwnStudy
-from cases.study.equations import DENSITY_ROUND_OFF, ELEMENTS, EQUATIONS, Equation
+from cases.study.equations import DENSITY_ROUND_OFF, ELEMENTS, EQUATIONS, UNIFORM_WORDS, Equation
 from cases.study.levels import Ladder, Study
 from cases.study.orders import LIMITS
 from cases.study.simulation import (
@@ -239,7 +239,7 @@ def study_convergence(
                     "dimension": equation.dimension,
                     "reference": equation.reference_words,
                     "reference_error": equation.reference.l1_error,
-                    "by_tolerance": equation.words,
+                    "by_tolerance": UNIFORM_WORDS if solver == "scikit-fem" else equation.words,
                     "ladders": measured,
                 }
             )

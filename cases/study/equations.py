@@ -116,9 +116,9 @@ class Equation:
     """One averaged equation: its process, its reference, and the routes that solve it.
 
     ``ends`` are the last energies of given meshes along each axis; ``by_tolerance`` are the routes
-    that are given a tolerance, elements first, which ``words`` describe; ``clock`` counts the time
-    that all spend in the coefficients of ``process``. ``solver``, "fem" or "scikit-fem", solves on
-    given meshes.
+    that are given a tolerance, elements first, which ``words`` describe for "fem"; ``clock`` counts
+    the time that all spend in the coefficients of ``process``. ``solver``, "fem" or "scikit-fem",
+    solves on given meshes.
     """
 
     name: str
@@ -258,9 +258,7 @@ def energy_equation(system: System, solver: str = "fem") -> Equation:
             NonIntegrable("quadrature").route: solve_by_quadrature,
         },
         solver=solver,
-        words=UNIFORM_WORDS
-        if solver == "scikit-fem"
-        else "elements whose number and degree follow from the tolerance, cut until it is met.",
+        words="elements whose number and degree follow from the tolerance, cut until it is met.",
     )
 
 
@@ -307,13 +305,9 @@ def modal_equation(system: System, solver: str = "fem") -> Equation:
         ends=list(ends),
         by_tolerance={Integrable(solver).route: partial(solve_energies, solver=solver)},
         solver=solver,
-        words=UNIFORM_WORDS
-        if solver == "scikit-fem"
-        else (
-            "p = w u with a positive weight w near p and u a polynomial of high degree on few"
-            " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
-            " constant damping w itself is the density, (34)."
-        ),
+        words="p = w u with a positive weight w near p and u a polynomial of high degree on few"
+        " panels; plain elements (levels marked w = 1) where that misses the tolerance. With"
+        " constant damping w itself is the density, (34).",
     )
 
 
