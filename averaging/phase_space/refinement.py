@@ -201,28 +201,33 @@ def out_of_reach(
 ) -> tuple[str, list[Expansion]]:
     """Return why no useful error is within reach, in words, or ""; and the solutions computed.
 
-    These are the first two, and a third if the error is above ``tol`` and ``HOPELESS``. It is out
-    of reach if it would not fall to the larger of these, by the factor of the third solution but
-    at most ``LIKELY_FALL`` with each, before memory or work end the ``ladders``.
+    These are the first two, and a third if it decides. An error is out of reach if it would not
+    fall to the larger of ``tol`` and ``HOPELESS`` by ``LIKELY_FALL`` with each solution, or by the
+    factor of the third if that is less, before memory or work end the ``ladders``.
     """
-    first = next(ladders)
-    made, error, least = [first.coarser, first.finest], first.errors[observable], max(tol, HOPELESS)
-    if error <= least:
-        return "", made
-    second = next(ladders)
-    made += [second.finest] * (not second.limit)
-    e, error = second.finest, second.errors[observable]
-    fall = min(LIKELY_FALL, first.errors[observable] / error)
+    ladder, least, fall = next(ladders), max(tol, HOPELESS), LIKELY_FALL
+    made, first = [ladder.coarser, ladder.finest], ladder.errors[observable]
+    beyond = falls_short(ladder.finest, first, least, fall, options)
+    if first > least and not beyond:
+        ladder = next(ladders)
+        made += [ladder.finest] * (not ladder.limit)
+        fall = min(fall, first / ladder.errors[observable])
+        beyond = falls_short(ladder.finest, ladder.errors[observable], least, fall, options)
+    known = f"the error is {ladder.errors[observable]:.1g} at degree {made[-1].basis.degrees.total}"
+    end = f"would not fall to {least:g} before memory or work end; use montecarlo"
+    return f"{known}, and {end}" if beyond else "", made
+
+
+def falls_short(e: Expansion, error: float, least: float, fall: float, options: Options) -> bool:
+    """Return whether the ``error`` of ``e``, falling by ``fall`` each time, stays above ``least``."""
     degrees, others = e.basis.degrees, e.others
-    known = f"the error is {error:.1g} at degree {degrees.total}"
     while error > least:
         degrees, others = next_degrees(e.basis.frame, degrees, others), others + 1
         error /= fall
         cost = solution_cost(basis(e.basis.frame, e.basis.reference, degrees))
         if fall <= 1.0 or degrees.outer > MOST_POLYNOMIALS or options.refusal(*cost):
-            end = f"would not fall to {least:g} before memory or work end"
-            return f"{known}, and {end}; use montecarlo", made
-    return "", made
+            return True
+    return False
 
 
 def better(earlier: Ladder, later: Ladder, observable: Observable) -> Ladder:
