@@ -219,7 +219,7 @@ def out_of_reach(
 
 
 def falls_short(e: Expansion, error: float, least: float, fall: float, options: Options) -> bool:
-    """Return whether the ``error`` of ``e``, falling by ``fall`` each time, stays above ``least``."""
+    """Return whether ``error``, of ``e``, falling by ``fall`` each time, stays above ``least``."""
     degrees, others = e.basis.degrees, e.others
     while error > least:
         degrees, others = next_degrees(e.basis.frame, degrees, others), others + 1
