@@ -183,20 +183,25 @@ def _polynomial_balance(system: System, constant: float, noise: float) -> Balanc
 
 
 def _temperature_of_sizes(system: System, constant: float, noise: float) -> float:
-    """Return the least θ at which ``constant`` θ or one of the √E X² is the ``noise``.
-
-    Means are over the Gibbs state without stops; X is the power c_ij v_i v_j of a damping term with
-    θ in the place of H, ``constant`` is |Σ c_ii/m_i| of constant damping, ``noise`` is
-    Σ (f D fᵀ)_ii/m_i.
-    """
-    thetas = [noise / constant] if constant > 0.0 else []
+    """Return the θ at which ``constant`` θ + Σ √E X² = ``noise``, means over the Gibbs state
+    without stops. X is the power c_ij v_i v_j of a damping term with θ in the place of H,
+    ``constant`` is |Σ c_ii/m_i| of constant damping, ``noise`` is Σ (f D fᵀ)_ii/m_i."""
+    sizes, powers = [constant], [1.0]
     for term in system.damping_terms:
         q, v = term.powers("q", system.n), term.velocities(system.n)
         square = gaussian_moment(system.compliance, tuple(2 * a for a in q))
         square *= gaussian_moment(np.diag(1.0 / system.mass), tuple(2 * a for a in v))
-        size = abs(term.coefficient) * sqrt(square)
-        thetas += [exp(log(noise / size) / (1.0 + 0.5 * term.degree))] if size > 0.0 else []
-    return min(thetas)
+        sizes.append(abs(term.coefficient) * sqrt(square))
+        powers.append(1.0 + 0.5 * term.degree)
+    size, power = np.array(sizes)[np.array(sizes) > 0.0], np.array(powers)[np.array(sizes) > 0.0]
+    # At the root no term exceeds the noise, and the largest of m terms is at least 1/m of it.
+    high = np.min((log(noise) - np.log(size)) / power)
+    low = np.min((log(noise / size.size) - np.log(size)) / power)
+
+    def excess(log_theta: float) -> float:
+        return float(size @ np.exp(power * log_theta)) / noise - 1.0
+
+    return exp(scipy.optimize.brentq(excess, low - 1e-9, high + 1e-9))
 
 
 def _contact_states(system: System, theta: float) -> tuple[Array, Array]:
