@@ -95,10 +95,14 @@ def solve_alone(n: int, number: int, tol: float, truth: int) -> None:
     observables = [parse_observable(f"{k}{i + 1}", n) for k in "qp" for i in range(n)]
     method = PhaseSpace(tol=tol, threads=1)
     signal.alarm(int(2.0 * SECONDS))
-    record: dict[str, Any] = {"refused": method.refusal(system, observables[0]), "failures": []}
+    record: dict[str, Any] = {"refused": None, "failures": []}
     answer: Any = ()
     try:
-        answer = () if record["refused"] else method.solve(system, observables).densities
+        plan = method.planned(system, observables)
+    except NotApplicable as error:
+        plan, record["refused"] = None, str(error)
+    try:
+        answer = method.solve(system, observables, plan=plan).densities if plan else ()
         record["stated"] = [a.l1_error for a in answer]
         record["failures"] = sorted({words for a in answer for words in a.certificate.failures})
     except (NotApplicable, NotCertified) as error:
