@@ -201,19 +201,19 @@ def out_of_reach(
 ) -> tuple[str, list[Expansion]]:
     """Return why no useful error is within reach, in words, or ""; and the solutions computed.
 
-    These are the first two, and a third if it decides. An error is out of reach if it would not
-    fall to the larger of ``tol`` and ``HOPELESS`` by ``LIKELY_FALL`` with each solution, or by the
-    factor of the third if that is less, before memory or work end the ``ladders``.
+    These are the first two, and a third if their error is above ``tol`` and ``HOPELESS`` but below
+    1. An error is out of reach if it would not fall to the larger of these by ``LIKELY_FALL`` with
+    each solution, or by the factor of the third if that is less, before memory or work end.
     """
     ladder, least, fall = next(ladders), max(tol, HOPELESS), LIKELY_FALL
-    made, first = [ladder.coarser, ladder.finest], ladder.errors[observable]
-    beyond = falls_short(ladder.finest, first, least, fall, options)
-    if first > least and not beyond:
+    made, error = [ladder.coarser, ladder.finest], ladder.errors[observable]
+    # An L1 error above 1 says nothing, at any price of a third solution.
+    if least < error < 1.0:
         ladder = next(ladders)
         made += [ladder.finest] * (not ladder.limit)
-        fall = min(fall, first / ladder.errors[observable])
-        beyond = falls_short(ladder.finest, ladder.errors[observable], least, fall, options)
-    known = f"the error is {ladder.errors[observable]:.1g} at degree {made[-1].basis.degrees.total}"
+        error, fall = ladder.errors[observable], min(fall, error / ladder.errors[observable])
+    beyond = falls_short(ladder.finest, error, least, fall, options)
+    known = f"the error is {error:.1g} at degree {made[-1].basis.degrees.total}"
     end = f"would not fall to {least:g} before memory or work end; use montecarlo"
     return f"{known}, and {end}" if beyond else "", made
 
