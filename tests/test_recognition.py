@@ -23,6 +23,7 @@ from cases.compare.quantity import parse_definition
 from cases.compare.routes import all_routes
 from cases.scene.errors import BadInput
 from cases.scene.scene import load_scene
+from fpk.answer.method import silent
 from fpk.answer.names import parse_limit, parse_observable, parse_start
 from fpk.numeric.errors import InvalidInput
 from fpk.numeric.recognition import REGISTRY, canonical, fingerprint
@@ -33,6 +34,7 @@ from fpk.system.damping import DampingTerm
 from fpk.system.modulation import Modulation
 from fpk.system.system import System
 from sim.montecarlo import MonteCarlo
+from sim.questions.splitting.run import Splitting, sample_failure, system_problem
 from sim.sample.histogram import Histogram, bin_axis
 from sim.sample.plan import setup_of
 from sim.sample.settings import ANYWHERE, NOT_IN_STATE
@@ -125,14 +127,16 @@ def test_every_field_of_every_record_is_compared():
     names = ("rms(q2)", "quantile(q2,0.9)", "mean_force(1,left)", "failure_rate(H=2)")
     asked = [parse_definition(name, SYSTEM) for name in names]
     seen = set()
-    for record in (SYSTEM, setup(), *methods, limit, start, *asked, LAWS["hertz"]):
+    for record in (SYSTEM, setup(), Splitting(), *methods, limit, start, *asked, LAWS["hertz"]):
         seen |= reading(record)
     # Whoever adds to one of these has a reason why no number depends on it.
     where = {f"MonteCarlo.{name}" for name in ("threads", "cluster")}
     limits = {f"MonteCarlo.{name}" for name in ("checkpoint", "partial", "seconds", "longest")}
+    numbers = ("threads", "cluster", "checkpoint", "partial", "repetitions", "tol", "seconds")
+    of_splitting = {f"Splitting.{name}" for name in numbers}
     assert {*ANYWHERE} == where
-    assert {*NOT_IN_STATE} == where | limits | {"Setup.seconds"}
-    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, setup())):
+    assert {*NOT_IN_STATE} == where | limits | of_splitting | {"Setup.seconds"}
+    for less, record in ((ANYWHERE, MonteCarlo()), (NOT_IN_STATE, (setup(), Splitting()))):
         assert {*less} <= reading(record, less)  # a name that no field has leaves nothing out
     kinds = {name.partition(".")[0] for name in seen}
     assert {"Contact", "DampingTerm", "Modulation", "Scheme", "Histogram", "BinAxis", "Coordinate",
@@ -180,8 +184,35 @@ def test_a_state_is_that_of_a_setup_equal_in_all_that_matters(tmp_path, monkeypa
         assert bool(again) == bool({*way} & {*NOT_IN_STATE}), way
     assert not replace(first, seconds=inf).checkpoint().load()
     assert first.checkpoint().load()
-    monkeypatch.setattr("sim.sample.plan.program_checksum", lambda: 1)  # it was edited
+    monkeypatch.setattr("sim.sample.workers.program_checksum", lambda: 1)  # it was edited
     assert not first.checkpoint().load()
+
+
+class Asked(Exception):
+    """Ends a work where it asks for what is stored."""
+
+
+def test_a_repetition_is_that_of_a_problem_equal_in_all_that_matters(monkeypatch):
+    original = sim.questions.splitting.run.checkpoint_of
+
+    def asked_for(folder, *about, **less):
+        raise Asked(original(Path("any"), *about, **less).identity)
+
+    def identity(problem, settings):
+        with pytest.raises(Asked) as asked:
+            sample_failure(problem, settings, silent)
+        return str(asked.value)
+
+    monkeypatch.setattr("sim.questions.splitting.run.checkpoint_of", asked_for)
+    monkeypatch.setattr("sim.sample.workers.program_checksum", lambda: 1)
+    limit, start = parse_limit("H=2", 2), parse_start("q1=0.1", STEADY)
+    problem = system_problem(STEADY, limit, start, 5.0, dt=0.1, score=None)
+    problem = replace(problem, system=SYSTEM, tables=problem.tables[:, ::32, ::32])
+    own = identity(problem, Splitting())
+    for way, other in others(problem):
+        assert identity(other, Splitting()) != own, way
+    for way, other in others(Splitting()):
+        assert (identity(problem, other) == own) == (way[0] in NOT_IN_STATE), way
 
 
 def of_points(simulation=None, folder=None, **settings):

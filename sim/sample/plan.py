@@ -25,13 +25,12 @@ from scipy.special import comb, ndtr
 from fpk.answer.names import Coordinate, Observable
 from fpk.numeric.arrays import Array, Integers
 from fpk.numeric.errors import InvalidInput, require
-from fpk.numeric.recognition import fingerprint
 from fpk.system.linear import drift_matrix, natural_modes
 from fpk.system.system import System, effects_of
 from sim.sample.diagnostics import Product
 from sim.sample.histogram import Histogram, starts
 from sim.sample.settings import NOT_IN_STATE, Settings, default_step
-from sim.sample.workers import Checkpoint, program_checksum
+from sim.sample.workers import Checkpoint, checkpoint_of
 from sim.step.arrays import LANES, NARROW, StepArrays, TermArrays, WatchArrays
 from sim.step.kernel import KernelKey
 from sim.step.schemes import SCHEMES, Scheme, exact_flow, lower_trapezoidal, pad_columns
@@ -152,11 +151,8 @@ class Setup:
 
     def checkpoint(self) -> Checkpoint:
         """Return the checkpoint in the method's folder, the same for all finite ``seconds``."""
-        if (folder := self.method.checkpoint) is None:
-            return Checkpoint()
-        settings = program_checksum(), (self, self.seconds < inf)
-        identity = fingerprint(settings, NOT_IN_STATE)
-        return Checkpoint(folder / f"montecarlo-{identity[:16]}.checkpoint", identity)
+        limited = self.seconds < inf
+        return checkpoint_of(self.method.checkpoint, (self, limited), less=NOT_IN_STATE)
 
 
 def setup_of(method: Settings, system: System, observables: Sequence[Observable]) -> Setup:

@@ -40,6 +40,13 @@ NOT_IN_STATE = {
     "MonteCarlo.seconds": "a longer run continues from the state of a shorter run",
     "MonteCarlo.longest": "a longer run continues from the state of a shorter run",
     "Setup.seconds": "the smaller of these two; whether there is a limit is compared",
+    "Splitting.threads": "random numbers belong to a repetition",
+    "Splitting.cluster": "random numbers belong to a repetition",
+    "Splitting.checkpoint": "the folder of the repetitions",
+    "Splitting.partial": "repetitions are saved whatever Ctrl-C does to the answer",
+    "Splitting.repetitions": "how many are made; each has its number",
+    "Splitting.tol": "decides how many repetitions are made",
+    "Splitting.seconds": "decides how many repetitions are made",
 }
 """Fields on which the saved state of a simulation does not depend: "Class.field" to reason."""
 

@@ -9,7 +9,7 @@ a cluster: it takes a second.
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from copy import deepcopy
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from fpk.numeric.compiling import ROOT, abandon, checksum
 from fpk.numeric.errors import NotCertified, Unavailable
 from fpk.numeric.machine import lock_file, working_time
+from fpk.numeric.recognition import fingerprint
 
 INTERVAL = 2.0
 """Seconds between two saved states. An ensemble is advanced in pieces of a quarter of this time,
@@ -222,6 +223,20 @@ class Checkpoint:
             if saving and (ended or now - self._saved >= INTERVAL):
                 self.save(ensemble.saved())
         return self.interrupted or steps > 0
+
+
+def checkpoint_of(
+    folder: Path | None, settings: Any, name: str = "montecarlo", *, less: Container[str] = ()
+) -> Checkpoint:
+    """Return the checkpoint of a simulation with ``settings``; without a ``folder`` none is saved.
+
+    Settings that differ only in the fields ``less`` ("Class.field") share a file, whose name begins
+    with ``name``.
+    """
+    if folder is None:
+        return Checkpoint()
+    identity = fingerprint([program_checksum(), settings], less)
+    return Checkpoint(folder / f"{name}-{identity[:16]}.checkpoint", identity)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ mean of the estimate is exactly P.
 from dataclasses import dataclass
 from functools import partial
 from math import ceil, exp, hypot, inf, isfinite, log, nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,8 @@ from sim.questions.passage import most_events
 from sim.questions.rounds import Watch, initial_states
 from sim.questions.splitting import kernel
 from sim.questions.splitting.kernel import SCORE_LEVELS, Replicas, ScoreFunction, SystemProblem
-from sim.sample.settings import check_settings
-from sim.sample.workers import workers_of
+from sim.sample.settings import NOT_IN_STATE, check_settings
+from sim.sample.workers import checkpoint_of, interruptible, workers_of
 from sim.step.arrays import MAX_TRAJECTORIES
 from sim.step.random import stream_of
 from sim.step.step_size import STEP_PER_RATE, chosen_step, temperature
@@ -50,8 +51,8 @@ class Splitting:
     A repetition has ``replicas`` paths, of which each level kills ``killed`` or more.
     ``repetitions`` are made at the step dt and as many at dt/2; with ``tol`` this is repeated until
     the relative error is ``tol`` or less, at most for ``seconds`` of wall time. ``dt`` None: a step
-    chosen for the system. ``threads`` and ``cluster``: see ``MonteCarlo``; the numbers do not
-    depend on them.
+    chosen for the system. ``threads``, ``cluster``, ``checkpoint`` and ``partial``: see
+    ``MonteCarlo``; the numbers do not depend on them.
 
     A small one::
 
@@ -69,6 +70,8 @@ class Splitting:
     seconds: float = 60.0
     threads: int | None = None
     cluster: str | None = None
+    checkpoint: Path | None = None
+    partial: bool = False
 
     def __post_init__(self) -> None:
         """Check all numbers; raise ``InvalidInput`` if one cannot be used."""
@@ -201,46 +204,13 @@ def rare_failure(
 
     Raises ``InvalidInput`` for a start at or beyond the limit, a time that is not finite and > 0,
     or a ``score`` for several limits; ``NotApplicable`` without noise or with modulated noise;
-    ``NotCertified`` if ``seconds`` leave fewer than ``LEAST_REPETITIONS`` repetitions.
+    ``NotCertified`` if ``seconds`` or Ctrl-C leave fewer than ``LEAST_REPETITIONS`` repetitions.
     """
-    s = settings or Splitting()
+    own = settings or Splitting()
     require(0.0 < time < inf, "time", time, "must be a finite number > 0")
     require_constant_noise(system.modulation)
-    problem = system_problem(system, limit, start, time, dt=s.dt, score=score)
-    dt = 0.5 * time / step_count(problem)
-    # Results of the repetitions at dt and dt/2, (results, 2, made); NaN until one is finished.
-    made = np.zeros((3, 2, 0))
-
-    def repeated(number: int) -> float | None:
-        nonlocal made
-        made = np.concatenate([made, np.full((3, 2, s.repetitions), nan)], axis=2)
-        wanted = made.shape[2]
-        left = [(k, fine) for k in range(number * s.repetitions, wanted) for fine in (0, 1)]
-        for first in range(0, len(left), workers.threads):
-            most = s.seconds - (working_time() - watch.begin)
-            tasks = left[first : first + workers.threads]
-            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
-            for index, fine, result in workers.as_finished(calls):
-                made[:, fine, index] = result
-            progress(finished(), wanted, "splitting")
-            if watch.ends():
-                return None
-        return failure_estimate(made, dt, s).relative_error
-
-    def finished() -> int:
-        """Return the number n of which the repetitions 0 to n − 1 are finished at both steps."""
-        return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
-
-    with workers_of(s.cluster, s.threads or usable_cores()) as workers:
-        watch = Watch(s.seconds, lambda: False, s.tol)
-        watch.until(repeated, most=1 if s.tol is None else inf)
-    if (whole := finished()) < LEAST_REPETITIONS:
-        seconds = working_time() - watch.begin
-        raise NotCertified(
-            f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
-            " are needed: allow more seconds"
-        )
-    return failure_estimate(made[:, :, :whole], dt, s)
+    problem = system_problem(system, limit, start, time, dt=own.dt, score=score)
+    return sample_failure(problem, own, progress)
 
 
 def repetition(
@@ -262,6 +232,53 @@ def step_count(problem: SystemProblem) -> int:
     most = 2**56 // MAX_TRAJECTORIES
     require(1 <= steps <= most, "dt", problem.dt, f"makes {steps:g} steps; use at most {most}")
     return steps
+
+
+def sample_failure(problem: SystemProblem, settings: Splitting, progress: Progress) -> RareFailure:
+    """Return the probability of failure in ``problem``; see ``rare_failure``."""
+    dt, s = 0.5 * problem.time / step_count(problem), settings
+    checkpoint = checkpoint_of(s.checkpoint, (problem, s), "splitting", less=NOT_IN_STATE)
+    # Results of the repetitions at dt and dt/2, (results, 2, made); NaN until one is finished.
+    made, seconds = np.zeros((3, 2, 0)), 0.0
+
+    def repeated(number: int) -> float | None:
+        nonlocal made, seconds
+        wanted = (number + 1) * s.repetitions
+        missing = (0, 0), (0, 0), (0, max(0, wanted - made.shape[2]))
+        made = np.pad(made, missing, constant_values=nan)
+        left = np.argwhere(np.isnan(made[0, :, :wanted]).T).tolist()
+        for first in range(0, len(left), workers.threads):
+            most = s.seconds - (working_time() - watch.begin)
+            tasks = left[first : first + workers.threads]
+            calls = [partial(repetition, problem, s, most, *task) for task in tasks]
+            for index, fine, result in workers.as_finished(calls):
+                made[:, fine, index] = result
+                seconds = working_time() - watch.begin
+                checkpoint.save({"made": made, "seconds": np.array(seconds)})
+            progress(finished(), wanted, "splitting")
+            if watch.ends():
+                return None
+        return failure_estimate(made[:, :, :wanted], dt, s).relative_error
+
+    def finished() -> int:
+        """Return the number n of which the repetitions 0 to n − 1 are finished at both steps."""
+        return int(np.argmax(np.append(np.isnan(made[0]).any(axis=0), True)))
+
+    with (
+        workers_of(s.cluster, s.threads or usable_cores()) as workers,
+        checkpoint.alone(),
+        interruptible(s.partial) as checkpoint.stopped,
+    ):
+        if saved := checkpoint.load():
+            made, seconds = saved["made"], float(saved["seconds"])
+        watch = Watch(s.seconds, checkpoint.stopped, s.tol, working_time() - seconds)
+        watch.until(repeated, most=1 if s.tol is None else inf)
+    if (whole := finished()) < LEAST_REPETITIONS:
+        raise NotCertified(
+            f"{whole} repetitions were finished in {seconds:.3g} s, and {LEAST_REPETITIONS}"
+            " are needed: allow more seconds"
+        )
+    return failure_estimate(made[:, :, :whole], dt, s)
 
 
 def mean_and_error(log_values: Array) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from sim_systems import exact, fig6, mixed, oscillator, passed, slow
 from test_step_schemes import contact
 
+import sim.questions.splitting.run as splitting_run
 from fpk import Contact, DampingTerm, System
 from fpk.answer.names import REST, Start, parse_limit, parse_start
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
@@ -167,9 +168,33 @@ def test_an_answer_depends_on_the_seed_alone():
     assert one.probability == pytest.approx(one.values.mean(), rel=1e-12) and one.probability > 0.0
 
 
-def test_too_few_repetitions_in_the_time_are_no_answer():
+def test_a_run_that_was_cut_goes_on(tmp_path, monkeypatch):
+    """After five repetitions it stops; what was finished is not made again."""
+    settings, made = replace(QUICK, checkpoint=tmp_path), []
+    whole, original = of_energy(2.0, 20.0, QUICK), splitting_run.repetition
+
+    def killed_after(most):
+        def repetition(*arguments):
+            if len(made) == most:
+                raise KeyboardInterrupt
+            made.append(arguments[3:])
+            return original(*arguments)
+
+        monkeypatch.setattr(splitting_run, "repetition", repetition)
+
+    killed_after(5)
+    with pytest.raises(KeyboardInterrupt):
+        of_energy(2.0, 20.0, settings)
+    killed_after(1000)
+    resumed = of_energy(2.0, 20.0, settings)
+    assert len(made) == len(set(made)) == 16
+    np.testing.assert_array_equal(resumed.values, whole.values)
+    assert resumed.error == whole.error
+    of_energy(2.0, 20.0, settings)
+    assert len(made) == 16
+    assert [p.name[:10] for p in tmp_path.glob("*.checkpoint")] == ["splitting-"]
     with pytest.raises(NotCertified, match="0 repetitions"):
-        of_energy(2.0, 20.0, replace(QUICK, seconds=1e-9))
+        of_energy(2.0, 20.0, replace(QUICK, partial=True, seconds=1e-9))
 
 
 def test_more_repetitions_are_made_until_the_error_is_small():
