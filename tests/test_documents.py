@@ -177,7 +177,7 @@ CONSTANTS = {
         f"and {refinement.FIRST_SAFETY * refinement.DISTANCE_SAFETY:g} d after two solutions",
         f"less than {refinement.LEAST_RATIO} of the one before",
         f"by (2n/N − 1)⁶ times {chain.ABSORPTION:g} of the largest natural frequency",
-        f"the tolerance and {refinement.HOPELESS} a third",
+        f"or to {refinement.HOPELESS} if that is larger",
         f"by a factor of {refinement.LIKELY_FALL:g} with each further solution",
         f"{refinement.LEAST_SHARE} of the largest",
         f"from {resolvent.BLOCK} random vectors",

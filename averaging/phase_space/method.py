@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from math import inf
 from typing import Self
 
@@ -13,7 +14,7 @@ from averaging.phase_space import dynamics
 from averaging.phase_space.densities import expansion_density, expansion_settings, identities
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import first_degrees, next_degrees
-from averaging.phase_space.equation.elimination import Expansion, solution_cost
+from averaging.phase_space.equation.elimination import solution_cost
 from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
 from averaging.phase_space.plane.dynamics import uniform_ladder
 from averaging.phase_space.plane.first_passage import phase_space_passage
@@ -21,6 +22,7 @@ from averaging.phase_space.plane.oscillator import oscillator_of, require_broad
 from averaging.phase_space.plane.stationary import plane_ladder, plane_ladder_of
 from averaging.phase_space.plane.transient import plane_transient
 from averaging.phase_space.refinement import (
+    HOPELESS,
     SOLUTION_MEMORY,
     SOLUTION_WORK,
     Ladder,
@@ -28,7 +30,6 @@ from averaging.phase_space.refinement import (
     better,
     breakdowns,
     ladder_of,
-    out_of_reach,
     solution_ladder,
 )
 from averaging.theory import LARGEST, Exact, Theory
@@ -134,28 +135,31 @@ class PhaseSpace(Theory):
         ladders: Callable[..., Iterator[Ladder]]
         of: Callable[..., Ladder]
         frame = self._frame(system)
-        made: list[Expansion] = []
+        tol = self.accepted or self.tol
         if system.n == 1:
             oscillator = oscillator_of(system)
             require_broad(oscillator)
             ladders, of = partial(plane_ladder, oscillator), plane_ladder_of
         else:
-            ladders, of = partial(solution_ladder, frame, made=made), ladder_of
+            ladders, of = partial(solution_ladder, frame, tol=tol), ladder_of
 
         def refusal(observable: Observable) -> str | None:
             if any(c.kind == "H" for c in observable):
-                words = "gives densities of displacements and momenta, not of energies"
-                return (
-                    f"{observable_name(observable)}: {self.method} {words}; ask for q, p or pairs"
-                )
+                words = "gives densities of q and p, not of energies; ask for these or pairs"
+                return f"{observable_name(observable)}: {self.method} {words}"
+            return None
+
+        def attempt(observables: Sequence[Observable]) -> str | None:
             if system.n == 1:
-                return None
-            found, tol = ladders([observable], self._options()), self.accepted or self.tol
+                return None  # no error is out of reach
             try:
-                reason, made[:] = out_of_reach(found, observable, self._options(), tol)
-            except np.linalg.LinAlgError as error:
-                return f"solutions of low degree are of no use, {error}; use montecarlo"
-            return reason or None
+                with breakdowns():
+                    for ladder in islice(ladders(observables, self._options()), 2):
+                        if max(ladder.errors.values()) <= max(tol, HOPELESS):
+                            break
+            except (NotApplicable, NotCertified) as reason:
+                return str(reason)
+            return None
 
         @breakdowns()
         def solve(
@@ -170,7 +174,7 @@ class PhaseSpace(Theory):
                     break
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
-            tol, limit = self.accepted or self.tol, ladder.limit
+            limit = ladder.limit
             others = of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
@@ -182,7 +186,7 @@ class PhaseSpace(Theory):
                 beside=tuple(expansion_density(others, o, inf) for o in beside),
             )
 
-        return Plan(refusal, solve, beside=True)
+        return Plan(refusal, solve, beside=True, attempt=attempt)
 
     @answer
     def crossings(self, asked: Asked) -> Curve:

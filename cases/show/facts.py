@@ -13,7 +13,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from cases.show.records import Record, plain
 from fpk.answer.contacts import stop_clearances
-from fpk.answer.method import ROUTES, solvers_of
+from fpk.answer.method import ROUTES, Route, solvers_of
 from fpk.answer.names import Coordinate, observable_name
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.ends import BoundaryClass, classify
@@ -151,10 +151,9 @@ def theories(scene: Scene) -> list[Record]:
     records = []
     for name in dict.fromkeys(route.method for route in all_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
-        refusals = [route.make().refusals(scene.system) for route in routes]
+        refusals = [_refusals(route, scene) for route in routes]
         reasons: dict[str, list[str]] = {}
-        for observable in scene.observables:
-            by_solver = [refusal(observable) for refusal in refusals]
+        for observable, *by_solver in zip(scene.observables, *refusals, strict=True):
             # Refused where every solver refuses it: the default's reason is shown.
             if None not in by_solver:
                 of = observable_name(observable)
@@ -180,6 +179,18 @@ def theories(scene: Scene) -> list[Record]:
             }
         )
     return records
+
+
+def _refusals(route: Route, scene: Scene) -> list[str | None]:
+    """Return why ``route`` does not give each of the scene's observables, None where it does."""
+    try:
+        plan = route.make().planned(scene.system, ())
+    except NotApplicable as reason:
+        return [str(reason)] * len(scene.observables)
+    refused = list(map(plan.refusal, scene.observables))
+    given = [o for o, reason in zip(scene.observables, refused, strict=True) if not reason]
+    hopeless = plan.attempt(given) if given else None
+    return [reason or hopeless for reason in refused]
 
 
 def _boundaries(system: System) -> list[Record]:

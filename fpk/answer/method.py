@@ -66,12 +66,14 @@ class Plan:
 
     ``refusal(observable)`` returns the reason why the method does not give an observable, or None;
     ``solve(observables, progress)`` returns the result. ``beside``: ``solve`` accepts further
-    observables as ``beside``, whose densities take little more work.
+    observables as ``beside``, whose densities take little more work. ``attempt(observables)``
+    returns why ``solve`` would give up after its first solutions, or None; it may take seconds.
     """
 
     refusal: Callable[[Observable], str | None]
     solve: Callable[..., Result]
     beside: bool = False
+    attempt: Callable[[Sequence[Observable]], str | None] = lambda _: None
 
 
 class Method(ABC):
@@ -98,17 +100,13 @@ class Method(ABC):
         work is limited, to ``share`` of a fixed amount, or raises ``NotApplicable``."""
         return self
 
-    def refusals(self, system: System) -> Callable[[Observable], str | None]:
-        """Return ``refusal`` as a function of the observable, for a system prepared once."""
-        try:
-            return self.planned(system, ()).refusal
-        except NotApplicable as error:
-            reason = str(error)
-            return lambda _: reason
-
     def refusal(self, system: System, observable: Observable) -> str | None:
         """Return the reason why the method does not give ``observable``, or None if it does."""
-        return self.refusals(system)(observable)
+        try:
+            self.planned(system, [observable])
+        except NotApplicable as reason:
+            return str(reason)
+        return None
 
     def solve(
         self,

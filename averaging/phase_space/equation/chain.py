@@ -28,7 +28,7 @@ from fpk.numeric.arrays import Array, Integers
 ABSORPTION = 10.0
 """Damping of the highest level N, over the largest natural frequency; level n > N/2 has (2n/N − 1)⁶
 of it. What the highest levels would reflect is absorbed: with noise on one mass only true errors
-fall to a third, and of a system on which solutions diverged, distances to a fifth. From 6 to 20 the
+fall to 0.4, and of a system on which solutions diverged, distances to a quarter. From 6 to 20 the
 errors change little."""
 
 Polynomial = dict[tuple[int, int], Matrix]

@@ -85,7 +85,7 @@ def degrees_to(frame: Frame, total: int, others: int) -> Degrees:
 
 
 def next_degrees(frame: Frame, degrees: Degrees, others: int) -> Degrees:
-    """Return degrees with about a quarter more levels: 13, 17, 21, 25, 31, 39, …
+    """Return degrees with about a quarter more levels: 13, 17, 21, 27, 33, 41, …
 
     ``others``: see ``degrees_to``. All totals are odd, since errors of even ones differ.
     """
