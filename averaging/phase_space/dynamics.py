@@ -199,7 +199,7 @@ def relaxation(e: Any, step: Step, *, count: int, work: float) -> Answer:
     ``work`` limits the operations, and so the number of eliminations; if they are too few, there
     may be fewer values, and ``missing`` says so. Each value is its own ``scale``, by magnitude.
     """
-    parts = list(resolvent.generators(e, closed=True))
+    parts = list(resolvent.generators(e))
     # Largest natural frequency of the linear system with the covariances of the solution.
     q, v = np.split(moments(e)[1], 2)
     squares = np.linalg.eigvals(np.linalg.solve(q[:, : len(q)], v[:, len(q) :]))

@@ -15,7 +15,7 @@ from averaging.phase_space.densities import expansion_density, expansion_setting
 from averaging.phase_space.equation.basis import basis
 from averaging.phase_space.equation.degrees import first_degrees, next_degrees
 from averaging.phase_space.equation.elimination import solution_cost
-from averaging.phase_space.equation.frame import Frame, Reference, contact_frame, gibbs_reference
+from averaging.phase_space.equation.frame import Frame, contact_frame, gibbs_reference
 from averaging.phase_space.plane.dynamics import uniform_ladder
 from averaging.phase_space.plane.first_passage import phase_space_passage
 from averaging.phase_space.plane.oscillator import oscillator_of, require_broad
@@ -72,8 +72,7 @@ class PhaseSpace(Theory):
     for a larger error; None: ``tol``, and the certificate of a larger error fails. ``memory``
     limits one solution, in GB, ``work`` its operations, None: by the memory, about five minutes on
     a core for 4 GB. ``threads`` are for linear algebra, None: all cores; if other processes
-    use these, the threads wait for each other and take ten times as long. ``reference`` is the
-    state that the expansion starts from, for tests; None: ``gibbs_reference``. ::
+    use these, the threads wait for each other and take ten times as long. ::
 
         fpk.solve(system, ["q2", "q2,p2"], methods=[PhaseSpace(tol=1e-3)])
 
@@ -96,7 +95,6 @@ class PhaseSpace(Theory):
     memory: float = SOLUTION_MEMORY
     work: float | None = None
     threads: int | None = None
-    reference: Reference | None = None
     method = "phase-space"
     solvers = (("hermite", "full FPK equation", "(6)"),)
     colour = "#5e02e0"
@@ -282,7 +280,7 @@ class PhaseSpace(Theory):
         work = self.work
         if work is None:  # for dense blocks of order N work is N³ and memory N²
             work = SOLUTION_WORK * (self.memory / SOLUTION_MEMORY) ** 1.5
-        return Options(self.memory, work, self.threads, self.reference, progress)
+        return Options(self.memory, work, self.threads, progress)
 
     @staticmethod
     def _ladders(frame: Frame, of: Sequence[Observable], options: Options) -> Iterator[Ladder]:

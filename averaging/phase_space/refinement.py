@@ -61,14 +61,12 @@ class Options:
     """Limits and settings of the refinement.
 
     The first two solutions are always computed; a further solution is not if it needs more than
-    ``memory`` (GB) or ``work`` (operations). ``threads`` are for linear algebra, None: all cores;
-    ``reference`` is the state the expansion starts from, None: ``gibbs_reference``.
+    ``memory`` (GB) or ``work`` (operations). ``threads`` are for linear algebra, None: all cores.
     """
 
     memory: float
     work: float
     threads: int | None = None
-    reference: Reference | None = None
     progress: Progress = silent
 
     def refusal(self, size: float, work: float) -> str:
@@ -163,7 +161,7 @@ def solution_ladder(
     coarser: Expansion | None = None
     ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
-        about = fit_reference(frame, options.reference or gibbs_reference(frame))
+        about = fit_reference(frame, gibbs_reference(frame))
         while True:
             step = options.step(f"phase space, degree {degrees.total}")
             finest = expand(frame, about, degrees, memory=memory, step=step)

@@ -64,16 +64,16 @@ def without_mass(solve: Solve, mass: Array, density: Array) -> Solve:
 
 
 @singledispatch
-def generators(e: Any, *, closed: bool = False) -> Iterator[Generator]:
+def generators(e: Any) -> Iterator[Generator]:
     """Yield the generators about the solution ``e``, an ``Expansion`` or another registered one.
 
     If mirror images are equally likely, the first is of densities that change sign under
-    reflection, the second of the others; else there is one. ``closed``: see ``chain_of``.
+    reflection, the second of the others; else there is one.
     """
     b = e.basis
     for odd in (True, False) if b.mirrored else (False,):
         functions = basis(b.frame, b.reference, b.degrees, odd=odd)
-        chain = chain_of(functions, joined=True, closed=closed)
+        chain = chain_of(functions, joined=True, closed=True)
         density = np.concatenate([e.of_panels(n) for n in range(len(e.levels))])
         solver = partial(chain_solver, chain, packed(e, chain, density))
         yield Generator(chain.mass.size, solver, partial(displacement_vectors, e, chain))

@@ -80,7 +80,7 @@ def _(e: PlaneState, numbers: type) -> tuple[float, float]:
 
 
 @generators.register
-def _(e: PlaneState, *, closed: bool = False) -> Iterator[Generator]:
+def _(e: PlaneState) -> Iterator[Generator]:
     for odd in (True, False) if e.mesh.folded else (False,):
         yield plane_generator(e, assemble_backward(e.mesh, odd=odd), odd=odd)
 

@@ -3,11 +3,13 @@
 import re
 import tracemalloc
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import islice, product
 
 import numpy as np
 import pytest
+from asked import assert_refused
 from systems import both, fig6
 from test_averaging_phase_space import ONE_NOISE, common, drawn, stop, two
 
@@ -22,7 +24,7 @@ from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import SOLUTION_WORK, Ladder, Options, solution_ladder
 from fpk.answer.density import l1_distance
 from fpk.answer.names import parse_observable
-from fpk.numeric.errors import InvalidInput
+from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 
 SINGLE = [parse_observable(o, 2) for o in ("q1", "q2", "p1", "p2")]
 SYSTEM = fig6(both(10.0))
@@ -164,30 +166,30 @@ def test_a_distance_that_falls_by_chance_is_not_believed():
     assert error == pytest.approx(safety * 2.5e-4)
 
 
-def test_what_is_out_of_reach_is_refused_before_it_is_tried():
+def test_what_is_out_of_reach_is_refused_after_its_first_solutions():
     """A hot mass beside a contact mass without noise of its own, which is light, or overdamped."""
     hot = two([1.58, 0.184], [0.465, 1.05], [0.224, 0.0581], [0.378, 0.0],
               2, "left", 31.4, 0.469, "bilinear")  # fmt: skip
-    reason = PhaseSpace(tol=1e-3).refusal(hot, SINGLE[1])
-    assert "would not fall to 0.01 before memory or work end; use montecarlo" in reason
-    assert PhaseSpace(tol=1e-3).refusal(ONE_NOISE, SINGLE[1]) is None
+    method, words = PhaseSpace(tol=1e-3), "would not fall to 0.01 before memory or work end"
+    assert words in method.prepare(hot).attempt(SINGLE)
+    assert_refused(NotApplicable, words, method.solve, hot, SINGLE)
+    assert method.prepare(ONE_NOISE).attempt(SINGLE) is None
     slaved = two([0.228, 2.4], [1.3, 1.77], [0.391, 0.0282], [0.0, 0.0457],
                  1, "left", 779.0, 0.151, "bilinear")  # fmt: skip
-    assert "of no use" in PhaseSpace().refusal(slaved, SINGLE[1])
+    assert "are of no distribution" in method.prepare(slaved).attempt(SINGLE)
 
 
-def test_a_refusal_and_the_answer_share_their_first_solutions(monkeypatch):
-    made, solve = [], refinement.expand
-
-    def expand(frame, about, degrees, **options):
-        made.append(degrees.total)
-        return solve(frame, about, degrees, **options)
-
-    monkeypatch.setattr(refinement, "expand", expand)
-    plan = PhaseSpace(tol=1e-2).planned(SYSTEM, SINGLE)
-    before = len(made)
-    result = plan.solve(SINGLE, lambda *_: None)
-    assert result.settings["highest degree"] == max(made) and len(made) == before
+def test_an_error_above_one_is_refused_after_two_solutions():
+    found = solution_ladder(FRAME, SINGLE, Options(4.0, 1e13))
+    ladder, options = next(found), Options(4.0, 1e13)
+    for error, refused in ((0.9, False), (1e9, True)):
+        large = replace(ladder, errors=dict.fromkeys(SINGLE, error))
+        with pytest.raises(NotApplicable) if refused else nullcontext():
+            refinement.require_reach(large, None, options, 1e-3)
+    # A third solution whose error has not fallen decides, however small the work.
+    third = replace(large, errors=dict.fromkeys(SINGLE, 0.02), solutions=3)
+    with pytest.raises(NotApplicable, match=r"its error, 0\.02 at degree 17"):
+        refinement.require_reach(third, replace(third, solutions=2), options, 1e-3)
 
 
 def leave_unsolved(monkeypatch, low, high):
@@ -203,8 +205,8 @@ def leave_unsolved(monkeypatch, low, high):
 
 def test_without_two_solved_systems_of_equations_there_is_no_answer(monkeypatch):
     leave_unsolved(monkeypatch, 17, 17)
-    reason = PhaseSpace(tol=1e-6).refusal(SYSTEM, SINGLE[0])
-    assert "equations of degree 17 are not solved" in reason
+    with pytest.raises(NotCertified, match="equations of degree 17 are not solved"):
+        PhaseSpace(tol=1e-6).solve(SYSTEM, SINGLE[:1])
 
 
 def test_a_solution_whose_equations_are_not_solved_is_not_used(monkeypatch):

@@ -229,8 +229,8 @@ def test_a_bound_of_the_work_leaves_it_out_or_certifies_what_is_reached_and_fail
     light = replace(WEAK.system, contacts=STIFF, damping=0.01 * c, noise_intensity=0.01 * D)
     outcome = run(light, PhaseSpace(work=1.0), NonIntegrable())
     (refusal,) = [r for r in outcome.curves[0].refused if r.route.method == "phase-space"]
-    assert not refusal.failed and "would not fall to 0.01 before memory or work" in refusal.reason
-    assert not outcome.problems
+    assert not refusal.failed and "an L1 error of" in refusal.reason
+    assert "operations" in refusal.reason and not outcome.problems
     (curve,) = run_scene(load_scene("fig8b"), [PhaseSpace(work=1.0)]).curves
     density, (note,) = curve["q2"], curve.notes
     assert "phase-space: certified to" in note and density.certificate.certified
