@@ -34,10 +34,8 @@ def moments(e: Any) -> tuple[Array, Array]:
     p, first, products = map(e.given, e.space.first_moments)
     # First and second moments of (y, v, x); then of (y, r, v).
     mean = np.concatenate([[p @ y], C @ first.sum(axis=1)])
-    second = np.zeros(2 * mean.shape)
-    second[0, 0], second[0, 1:] = p @ y**2, C @ first @ y
-    second[1:, 0] = second[0, 1:]
-    second[1:, 1:] = C @ products.sum(axis=2) @ C.T
+    mixed, square = (C @ first @ y)[:, None], np.atleast_2d(p @ y**2)
+    second = np.block([[square, mixed.T], [mixed, C @ products.sum(axis=2) @ C.T]])
     to, shift = b.reference.to_state
     covariance = to @ (second - np.outer(mean, mean)) @ to.T
     return to @ mean + shift, 0.5 * (covariance + covariance.T)
@@ -100,7 +98,9 @@ def _marginal_density(
     Q, R = np.linalg.qr(along.T)
     signs = np.sign(np.diag(R))
     directions, L = (Q * signs).T, (R * signs[:, None]).T
-    coefficients, scale = _projections(e, directions), float(np.prod(np.diag(L)))
+    # N(0; 0, 1/σ)^−1 for each t, times the Jacobian.
+    scale = float(np.prod(np.sqrt(2.0 * np.pi / POWER) * np.diag(L)))
+    coefficients = _projections(e, directions)
 
     def given(y: Array) -> Array:
         """Return w(``y``)^σ times the coefficients of the polynomials in t.
@@ -121,10 +121,7 @@ def _marginal_density(
             t.append(rest / L[a, a])
         # The sum over n is taken first, on the shape of t₁, before that of t₂ enters.
         for s in t:
-            before, now = (
-                np.zeros_like(s),
-                np.exp(-0.5 * POWER * s**2) * np.sqrt(0.5 * POWER / np.pi),
-            )
+            before, now = np.zeros_like(s), np.exp(-0.5 * POWER * s**2)
             total = c[0] * now
             for n in range(1, len(c)):
                 before, now = now, (s * now - np.sqrt(n - 1.0) * before) / np.sqrt(n)
@@ -169,9 +166,8 @@ def _projections(e: Expansion, directions: Array) -> Array:
     They are integrals over the components of ζ orthogonal to these, (levels, [levels,] functions of
     all panels): combinations v_n of the coefficients of the He_k, v_n = Σ_i e_i a_i⁺ v_(n−1)/√n.
     """
-    in_panels = np.concatenate([e.of_panels(n) for n in range(len(e.levels))])
     raising = [combination(e.space.up, direction) for direction in directions]
-    out = np.zeros((*[len(e.levels)] * len(raising), in_panels.shape[1]))
+    out = np.zeros((*[len(e.levels)] * len(raising), e.in_panels.shape[1]))
 
     def add(place: tuple[int, ...], v: Array) -> None:
         """Write into ``out`` the entries of all (n, …) that begin with ``place``.
@@ -180,7 +176,7 @@ def _projections(e: Expansion, directions: Array) -> Array:
         """
         n, axis = sum(place), len(place)
         if axis == len(raising):
-            out[place] = v @ in_panels
+            out[place] = v @ e.in_panels
             return
         for m in range(len(e.levels) - n):
             add((*place, m), v)

@@ -74,8 +74,7 @@ def generators(e: Any) -> Iterator[Generator]:
     for odd in (True, False) if b.mirrored else (False,):
         functions = basis(b.frame, b.reference, b.degrees, odd=odd)
         chain = chain_of(functions, joined=True, closed=True)
-        density = np.concatenate([e.of_panels(n) for n in range(len(e.levels))])
-        solver = partial(chain_solver, chain, packed(e, chain, density))
+        solver = partial(chain_solver, chain, packed(e, chain, e.in_panels))
         yield Generator(chain.mass.size, solver, partial(displacement_vectors, e, chain))
 
 
@@ -106,11 +105,10 @@ def displacement_vectors(e: Expansion, A: Chain, row: int) -> tuple[Array, Array
     offset -= unit * moments(e)[0][at]
     values, up = b.at_points[0], combination(space.up, direction)
     by_y = values.T @ ((b.weights * (offset + slope * b.points))[:, None] * values)
-    density = np.vstack([e.of_panels(n) for n in range(len(e.levels))])
     s, first, _ = space.first_moments
     integrals = np.multiply.outer(s, (b.measure * (offset + slope * b.points)) @ values)
     integrals += np.multiply.outer(direction @ first, b.measure @ values)
-    product = density @ by_y + (up + up.T) @ density
+    product = e.in_panels @ by_y + (up + up.T) @ e.in_panels
     return packed(e, A, integrals), packed(e, A, product)
 
 

@@ -168,19 +168,16 @@ def chain_of(functions: Basis, *, joined: bool = False, closed: bool = False) ->
     transport = weighted[0] + adjoint[0], weighted[0].T + adjoint[1]
     space = space_to(degrees.total, degrees.others, len(drift))
     up, down = space.up, [A.T.tocsr() for A in space.up]
-    # −∂ F' ζ and ∂ G' ∂, with all a to the right of all a⁺.
-    even = 1.0 - POWER
-    constant = (-even * np.trace(drift) - even * POWER * np.trace(noise)) * sparse.eye_array(
-        len(space.level), format="csr"
-    )
+    # Lower levels keep their exact equations, and so moments their identities.
+    absorbed = np.maximum(2.0 * space.level / degrees.total - 1.0, 0.0) ** 6
+    fastest, even = float(np.sqrt(np.linalg.eigvalsh(frame.stiffness)[-1])), 1.0 - POWER
+    # −∂ F' ζ and ∂ G' ∂, with all a to the right of all a⁺, and the absorption.
+    lost = even * (np.trace(drift) + POWER * np.trace(noise)) + ABSORPTION * fastest * absorbed
+    constant = sparse.diags_array(-lost, format="csr")
     for i, (f, g) in enumerate(zip(drift, noise, strict=True)):
         mixed = POWER * f - even * drift[:, i] - 2.0 * even * POWER * g
         constant += up[i] @ (combination(up, POWER * f + POWER**2 * g) + combination(down, mixed))
         constant += down[i] @ combination(down, even**2 * g - even * f)
-    # Lower levels keep their exact equations, and so moments their identities.
-    absorbed = np.maximum(2.0 * space.level / degrees.total - 1.0, 0.0) ** 6
-    fastest = float(np.sqrt(np.linalg.eigvalsh(frame.stiffness)[-1]))
-    constant -= ABSORPTION * fastest * sparse.diags_array(absorbed, format="csr")
     slopes = (POWER * A - even * B for A, B in zip(up[1:], down[1:], strict=True))
     couplings = [(down[0], adjoint), (up[0], transport), *zip(slopes, forces, strict=True)]
     parts: list[tuple[Matrix, Between]] = [

@@ -7,6 +7,7 @@ preconditioner, at a quarter of the work of stages that contain it.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
@@ -55,9 +56,11 @@ class Expansion:
     levels: tuple[Array, ...]
     residual: float
 
-    def of_panels(self, n: int) -> Array:
-        """Return the coefficients (degrees, polynomials of all panels) of level ``n``."""
-        return np.asarray(self.levels[n] @ self.basis.of_level(n)[:, : self.levels[n].shape[1]].T)
+    @cached_property
+    def in_panels(self) -> Array:
+        """Coefficients (degrees, polynomials of all panels) of all levels."""
+        of = self.basis.of_level
+        return np.concatenate([u @ of(n)[:, : u.shape[1]].T for n, u in enumerate(self.levels)])
 
     @property
     def others(self) -> int:
@@ -74,8 +77,7 @@ class Expansion:
         weights of an integral over y.
         """
         b = self.basis
-        panels = np.concatenate([self.of_panels(n) for n in range(len(self.levels))])
-        return np.asarray(functionals @ panels @ b.at_points[0].T * b.measure)
+        return np.asarray(functionals @ self.in_panels @ b.at_points[0].T * b.measure)
 
 
 def solution_cost(functions: Basis, *, numbers: type = np.float32) -> tuple[float, float]:

@@ -141,18 +141,11 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
 
 
 def gibbs_reference(frame: Frame) -> Reference:
-    """Return the Gibbs state of T = tr D/tr c, with damping terms of the equivalent temperature.
+    """Return the Gibbs state of the ``equivalent_temperature``; raise ``NotApplicable`` as it does.
 
-    Raises ``NotApplicable`` if nothing is damped or no noise acts.
+    Without damping terms that is T = tr D/tr c of the scaled matrices.
     """
-    K, n = frame.stiffness, frame.n
-    if frame.system.damping_terms:
-        T = equivalent_temperature(frame.system)
-    else:
-        noise, damping = float(np.trace(frame.noise)), float(np.trace(frame.damping))
-        if not (noise > 0.0 and damping > 0.0):
-            raise NotApplicable("a stationary density in phase space needs damping and noise")
-        T = noise / damping
+    K, n, T = frame.stiffness, frame.n, equivalent_temperature(frame.system)
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
     covariance = POWER * T * np.eye(2 * n - 1)
     covariance[n:, n:] = POWER * T * np.linalg.inv(K[1:, 1:])

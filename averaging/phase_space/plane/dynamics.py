@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -51,16 +52,14 @@ def uniform_ladder(
     top = rarest_energy(o)
     swift, reach = np.sqrt(2.0 * top / o.mass), o.turning_point(top, 1.0)
     panel = min(1.0 / PANELS, KICKS * o.kick(reach) / swift)
-    coarser: PlaneState | None = None
     ladder: Ladder | None = None
     with threadpool_limits(limits=options.threads or usable_cores(), user_api="blas"):
-        for finest, limit in uniform_solutions(o, top, (panel, FINER), solved, options):
-            if coarser is not None:
-                ladder = ladder_of(finest, coarser, observables, ladder)
-                yield ladder
-                if limit:
-                    yield replace(ladder, limit=limit)
-            coarser = finest
+        solutions = uniform_solutions(o, top, (panel, FINER), solved, options)
+        for (coarser, _), (finest, limit) in pairwise(solutions):
+            ladder = ladder_of(finest, coarser, observables, ladder)
+            yield ladder
+            if limit:
+                yield replace(ladder, limit=limit)
 
 
 @moments.register

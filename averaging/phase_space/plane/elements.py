@@ -128,10 +128,10 @@ class Elements:
         close that it is not found.
         """
         inverse = LinearOperator(self.K.shape, matvec=lambda x: self.factors.solve(x, "T"))
-        options: dict[str, Any] = {"v0": self.one, "ncv": min(12, self.load.size - 1)}
-        options["maxiter"] = MOST_ITERATIONS
+        options: dict[str, Any] = {"v0": self.one, "maxiter": MOST_ITERATIONS, "sigma": 0.0}
+        vectors = min(12, self.load.size - 1)
         try:
-            _, y = eigs(self.K.T, k=1, M=self.M, sigma=0.0, OPinv=inverse, **options)
+            _, y = eigs(self.K.T, k=1, M=self.M, OPinv=inverse, ncv=vectors, **options)
         except ArpackNoConvergence:
             words = "rates lie too close together, as those of a weak spring do; use montecarlo"
             raise NotCertified(f"the failure rate is not found: {words}") from None

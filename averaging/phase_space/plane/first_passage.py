@@ -131,14 +131,8 @@ def _level_results(
         F, krylov[later] = e.in_time(*given, tol=tol, seen=start)
         failure[later] = F + (1.0 - float(start @ e.one))
     others = [e.at(q[None], v[None], np.ones(1)) @ e.mean for q, v in zip(*probes, strict=True)]
-    settings = {
-        "equation": "(6)",
-        "solver": "fem",
-        "solved_by": "finite elements of the backward equation",
-        "unknowns": e.load.size,
-        "degree": e.mesh.degree,
-        "mass that round-off took": lost,
-    }
+    settings = e.mesh.settings(e.load.size, "of the backward equation")
+    settings["mass that round-off took"] = lost
     defect = np.max(np.abs(e.load - e.K @ e.mean)) / np.max(abs(e.K) @ np.abs(e.mean))
     stated = {"mass_defect": e.mass_defect(start), "residual": float(defect), "settings": settings}
     numbers = np.array([mean, second, e.slowest[0], *(np.array(others) / own)])

@@ -1,6 +1,7 @@
 """The density of one mass in time, by finite elements in the plane."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from averaging.phase_space.plane.oscillator import (
 )
 from averaging.phase_space.plane.stationary import (
     FINER,
+    IN_PLANE,
     OUTFLOW,
     PANEL,
     PlaneState,
@@ -22,7 +24,7 @@ from averaging.phase_space.plane.stationary import (
     state_of,
     uniform_solutions,
 )
-from averaging.phase_space.refinement import Ladder, Options
+from averaging.phase_space.refinement import Options
 from fpk.answer.dynamics import Transient, require_times, transient_of
 from fpk.answer.names import observable_name
 from fpk.answer.question import Asked
@@ -61,26 +63,17 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
         lost = abs(1.0 - float(y[-1] @ e.load))
         return ([state_of(e, own) for own in y], changes), not lost < OUTFLOW + changes[-1]
 
-    ladders: list[Ladder] = []
-    coarser: list[PlaneState] = []
     solutions = uniform_solutions(o, top, (PANEL, FINER), solved, options)
-    for level, ((now, changes), limit) in enumerate(solutions):
-        options.step(f"transient, mesh {level + 1}")(0.0)
+    for level, (((coarser, _), _), ((now, changes), limit)) in enumerate(pairwise(solutions), 2):
+        options.step(f"transient, mesh {level}")(0.0)
         ladders = [
             plane_ladder_of(a, b, [observable], added=c)
-            for a, b, c in zip(now, coarser, changes.tolist(), strict=False)
+            for a, b, c in zip(now, coarser, changes.tolist(), strict=True)
         ]
-        coarser = now
-        if ladders and (limit or max(x.errors[observable] for x in ladders) <= asked.tol):
+        if limit or max(x.errors[observable] for x in ladders) <= asked.tol:
             break
     found = [replace(x, limit=limit) for x in ladders]
     densities = [expansion_density(x, observable, asked.tol) for x in found]
     at = [density.at(*asked.at) for density in densities]
-    settings = {
-        "equation": "(6)",
-        "solver": "fem",
-        "solved_by": "finite elements in the plane of displacement and momentum",
-        "unknowns": found[0].finest.unknowns,
-        "degree": found[0].finest.mesh.degree,
-    }
+    settings = now[0].mesh.settings(now[0].unknowns, IN_PLANE)
     return transient_of(times, densities, at, tol=asked.tol, settings=settings)

@@ -6,14 +6,14 @@ from asked import ask, assert_near, assert_refused
 from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.linalg import eigs
-from systems import TURNED
+from systems import TURNED, both, fig6
 from test_averaging_phase_space import starting_from, wrong
 from test_averaging_phase_space_plane import CUBIC, VAN_DER_POL
 
 import fpk
 from averaging.gaussian import Linear
 from averaging.phase_space import resolvent
-from averaging.phase_space.equation.degrees import Degrees
+from averaging.phase_space.equation.degrees import Degrees, degrees_to
 from averaging.phase_space.equation.elimination import expand
 from averaging.phase_space.equation.frame import contact_frame, gibbs_reference
 from averaging.phase_space.method import PhaseSpace
@@ -168,6 +168,16 @@ def test_rates_of_a_linear_system_are_the_slowest_sums_of_eigenvalues(system, co
     assert np.all(distances(answer.values, exact) <= answer.errors)
     # No slower one is left out: sums of equal real parts may stand for each other.
     assert np.asarray(answer.values).real == pytest.approx(exact[:count].real, rel=1e-6)
+
+
+def test_what_the_level_above_lacks_adds_no_slow_rates():
+    """Without that part of ``Chain.matrix`` slower rates, 0.028 ± 1.41i, are found here."""
+    frame = contact_frame(fig6(both(10.0)))
+    e = expand(frame, gibbs_reference(frame), degrees_to(frame, 11, 11))
+    parts = list(generators(e))
+    rates, _ = resolvent.slowest_rates(parts, 2, 1.5, most=40, step=lambda share: None)
+    # By degree 17 they are 0.0661 and 0.0950 + 1.6873i.
+    assert rates[:2] == pytest.approx([0.0661, 0.0950 + 1.6873j], rel=0.03)
 
 
 SOFT = fpk.Contact(mass=1, side="right", stiffness=0.1312, clearance=0.2304, law="bilinear")
