@@ -34,6 +34,7 @@ from averaging.theory import Exact
 from cases.compare.compare import distance_between
 from fpk import Contact, DampingTerm, System
 from fpk.answer.density import distance_with_error
+from fpk.answer.method import silent
 from fpk.answer.names import Observable, parse_observable
 from fpk.numeric.errors import NotApplicable, NotCertified
 from sim.montecarlo import MonteCarlo
@@ -107,7 +108,7 @@ def solve_alone(n: int, number: int, tol: float, truth: int) -> None:
         record["failures"] = [str(error)]
     record["seconds"] = round(perf_counter() - start, 2)
     if not answer and not record["refused"]:  # said by check if its solutions already show it
-        record["refused"] = method.prepare(system).attempt(observables)
+        record["refused"] = method.prepare(system).attempt(observables, silent)
     record["gigabytes"] = round(getrusage(RUSAGE_SELF).ru_maxrss / 1e6, 2)
     print(json.dumps(record), flush=True)
     if truth and answer:

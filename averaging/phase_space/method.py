@@ -147,12 +147,12 @@ class PhaseSpace(Theory):
                 return f"{observable_name(observable)}: {self.method} {words}"
             return None
 
-        def attempt(observables: Sequence[Observable]) -> str | None:
+        def attempt(observables: Sequence[Observable], progress: Progress) -> str | None:
             if system.n == 1:
                 return None  # no error is out of reach
             try:
                 with breakdowns():
-                    for ladder in islice(ladders(observables, self._options()), 2):
+                    for ladder in islice(ladders(observables, self._options(progress)), 2):
                         if max(ladder.errors.values()) <= max(tol, HOPELESS):
                             break
             except (NotApplicable, NotCertified) as reason:

@@ -62,9 +62,11 @@ def facts_command(name: str, words: str) -> click.Command:
     def command(scene: str) -> None:
         loaded = parts.load_checked(scene)
         from cases.show import facts
+        from cases.show.bar import progress_bar
         from cases.show.text import render
 
-        record = getattr(facts, f"{name}_record")(loaded)
+        with progress_bar() as progress:
+            record = getattr(facts, f"{name}_record")(loaded, progress)
         parts.end(record, lambda: render(f"{name}.txt", record))
 
     return command

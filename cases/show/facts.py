@@ -13,7 +13,7 @@ from cases.scene.scene import Scene
 from cases.scene.units import NUMBER
 from cases.show.records import Record, plain
 from fpk.answer.contacts import stop_clearances
-from fpk.answer.method import ROUTES, Route, solvers_of
+from fpk.answer.method import ROUTES, Progress, Route, solvers_of
 from fpk.answer.names import Coordinate, observable_name
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.ends import BoundaryClass, classify
@@ -33,8 +33,8 @@ RMS_METHODS = ("linear", "exact", "nonintegrable")
 """Methods tried in this order for the rms of a displacement; the first two are exact for (6)."""
 
 
-def show_record(scene: Scene) -> Record:
-    """Return the record of ``fpk show`` as plain values: system, modes, rms, theories, units."""
+def show_record(scene: Scene, progress: Progress | None = None) -> Record:
+    """Return ``fpk show`` as plain values: system, modes, rms, units, and ``theories``."""
     facts, rms = facts_record(scene.system), rms_record(scene.system)
     regime, routes = facts["regime"], {route.label: route for route in all_routes()}
     averaged = [("rms", [routes[row["route"]]], False) for row in rms[:1]]
@@ -51,7 +51,7 @@ def show_record(scene: Scene) -> Record:
             "modes": modes_record(scene.system),
             "rms": rms,
             "averaging_notes": averaging_notes(scene.system, averaged),
-            "theories": theories(scene),
+            "theories": theories(scene, progress),
             "boundaries": regime["boundaries"],
         }
     )
@@ -73,15 +73,15 @@ def units_record(scene: Scene) -> Record | None:
     return record
 
 
-def check_record(scene: Scene) -> Record:
+def check_record(scene: Scene, progress: Progress | None = None) -> Record:
     """Return the record of ``fpk check``: sizes, theories, questions, estimated seconds of a run.
 
     ``applies`` has methods, ``refused`` and ``left_out`` records of ``theories``, for stationary
     densities; ``stationary_refusal`` says why the system has none, and is None if it has a
     stationary state. ``simulation_seconds`` is for all curves together, None if the simulation is
-    refused, for the reason in ``simulation_refusal``.
+    refused, for the reason in ``simulation_refusal``. ``progress``: see ``theories``.
     """
-    listed = theories(scene)
+    listed = theories(scene, progress)
     taken = [t["method"] for t in listed if t["applies"] and not t["left_out"]]
     seconds: float | None = 0.0
     refusal = None
@@ -141,17 +141,18 @@ def facts_record(system: System) -> Record:
     }
 
 
-def theories(scene: Scene) -> list[Record]:
+def theories(scene: Scene, progress: Progress | None = None) -> list[Record]:
     """Return a record for every method: whether it applies to the scene's own system, and why not.
 
     A method applies if it gives one of the scene's observables by some solver; ``reason`` is about
     the observables that it does not give, None if there are none. ``left_out`` says why ``fpk run``
-    leaves out a method that applies, else None.
+    leaves out a method that applies, else None. Given ``progress``, a method is also asked whether
+    it would give up after its first solutions, which may take a minute.
     """
     records = []
     for name in dict.fromkeys(route.method for route in all_routes()):
         routes = [ROUTES[name, solver] for solver in solvers_of(name)]
-        refusals = [_refusals(route, scene) for route in routes]
+        refusals = [_refusals(route, scene, progress) for route in routes]
         reasons: dict[str, list[str]] = {}
         for observable, *by_solver in zip(scene.observables, *refusals, strict=True):
             # Refused where every solver refuses it: the default's reason is shown.
@@ -181,7 +182,7 @@ def theories(scene: Scene) -> list[Record]:
     return records
 
 
-def _refusals(route: Route, scene: Scene) -> list[str | None]:
+def _refusals(route: Route, scene: Scene, progress: Progress | None) -> list[str | None]:
     """Return why ``route`` does not give each of the scene's observables, None where it does."""
     try:
         plan = route.make().planned(scene.system, ())
@@ -189,7 +190,7 @@ def _refusals(route: Route, scene: Scene) -> list[str | None]:
         return [str(reason)] * len(scene.observables)
     refused = list(map(plan.refusal, scene.observables))
     given = [o for o, reason in zip(scene.observables, refused, strict=True) if not reason]
-    hopeless = plan.attempt(given) if given else None
+    hopeless = plan.attempt(given, progress) if given and progress else None
     return [reason or hopeless for reason in refused]
 
 

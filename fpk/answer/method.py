@@ -66,14 +66,14 @@ class Plan:
 
     ``refusal(observable)`` returns the reason why the method does not give an observable, or None;
     ``solve(observables, progress)`` returns the result. ``beside``: ``solve`` accepts further
-    observables as ``beside``, whose densities take little more work. ``attempt(observables)``
-    returns why ``solve`` would give up after its first solutions, or None; it may take seconds.
+    observables as ``beside``, whose densities take little more work. ``attempt(observables,
+    progress)`` returns why ``solve`` would give up after its first solutions, or None.
     """
 
     refusal: Callable[[Observable], str | None]
     solve: Callable[..., Result]
     beside: bool = False
-    attempt: Callable[[Sequence[Observable]], str | None] = lambda _: None
+    attempt: Callable[[Sequence[Observable], Progress], str | None] = lambda *_: None
 
 
 class Method(ABC):

@@ -23,6 +23,7 @@ from averaging.phase_space.equation.frame import contact_frame, gibbs_reference,
 from averaging.phase_space.method import PhaseSpace
 from averaging.phase_space.refinement import SOLUTION_WORK, Ladder, Options, solution_ladder
 from fpk.answer.density import l1_distance
+from fpk.answer.method import silent
 from fpk.answer.names import parse_observable
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 
@@ -171,12 +172,12 @@ def test_what_is_out_of_reach_is_refused_after_its_first_solutions():
     hot = two([1.58, 0.184], [0.465, 1.05], [0.224, 0.0581], [0.378, 0.0],
               2, "left", 31.4, 0.469, "bilinear")  # fmt: skip
     method, words = PhaseSpace(tol=1e-3), "would not fall to 0.01 before memory or work end"
-    assert words in method.prepare(hot).attempt(SINGLE)
+    assert words in method.prepare(hot).attempt(SINGLE, silent)
     assert_refused(NotApplicable, words, method.solve, hot, SINGLE)
-    assert method.prepare(ONE_NOISE).attempt(SINGLE) is None
+    assert method.prepare(ONE_NOISE).attempt(SINGLE, silent) is None
     slaved = two([0.228, 2.4], [1.3, 1.77], [0.391, 0.0282], [0.0, 0.0457],
                  1, "left", 779.0, 0.151, "bilinear")  # fmt: skip
-    assert "are of no distribution" in method.prepare(slaved).attempt(SINGLE)
+    assert "are of no distribution" in method.prepare(slaved).attempt(SINGLE, silent)
 
 
 def test_an_error_above_one_is_refused_after_two_solutions():
