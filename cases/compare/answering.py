@@ -47,8 +47,8 @@ def replies_of(
 
     ``attempts`` must have no refusals yet; refusals and notes are added to it. ``tol``: tolerance
     of solvers that do not sample, None, or if ``attempts`` relax: their defaults. Simulations of a
-    first passage run until the last time. Splitting replaces the simulation of the full system if
-    no answer of the full system is certified, as where too few motions fail.
+    first passage run until the last time; those that are not certified, as where too few motions
+    fail, are refused, and if then no answer of the full system is certified, splitting gives one.
     """
     attempts, names = attempts or Attempts(), (question.name,)
     budget = attempts.budget
@@ -95,10 +95,9 @@ def replies_of(
     for method in able:
         ask(method.route, lambda points, m=method: budget.spend(m, partial_of(answered, points)))
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
-        # Splitting, for constant noise only, replaces the simulation of the full system if there
-        # is no certified answer of the full system.
+        # Splitting is for constant noise only.
         known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-        asked = question.times and system.modulation is None and not known
+        asked = question.times and system.modulation is None
         plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
 
         def split(own: Any) -> Passage:
@@ -107,11 +106,12 @@ def replies_of(
                 settings = replace(settings, seconds=settings.seconds / max(1, later))
             return split_passage(system, question, settings, progress=attempts.progress)
 
-        if plain and asked and ask(SPLITTING, lambda _: budget.spend(plain, split)):
-            replaced = [g for g in given if g.route == plain.route]
-            given = [g for g in given if g not in replaced]
-            for words in (w for g in replaced for w in g.answer.certificate.failures):
-                attempts.refuse(plain.route, names, words)
+        if known or (plain and asked and ask(SPLITTING, lambda _: budget.spend(plain, split))):
+            simulated = [g for g in given if g.route.sampled and g.route != SPLITTING]
+            few = [g for g in simulated if not g.answer.certificate.certified]
+            given = [g for g in given if g not in few]
+            for route, words in ((g.route, w) for g in few for w in g.answer.certificate.failures):
+                attempts.refuse(route, names, words)
     points, windows = window() if given else (None, ())
     ends = attempts.interrupted, tuple(attempts.notes)
     return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)

@@ -42,6 +42,7 @@ CIR = load_scene("cir")
 SEED = 20261123
 FEM, CLOSED = ("nonintegrable", "fem"), ("nonintegrable", "closed-form")
 SIMULATED, FULL = ("nonintegrable", "simulation"), ("montecarlo", "simulation")
+EQUATION = ("phase-space", "hermite")
 
 
 def certificate(*failures):
@@ -201,6 +202,10 @@ def test_rare_failure_is_left_to_splitting(monkeypatch):
     few = replace(rare, error_kind="sampling", certificate=certificate("3 failures are too few"))
     answers = replies(Stub(FEM, rare), Stub(FULL, few))
     assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
+    assert answers.refused[0].reason == "3 failures are too few" and not answers.problems
+    # Another answer of the full system, here by the equation, is certified.
+    answers = replies(Stub(EQUATION, rare), Stub(FULL, few))
+    assert [g.route.label for g in answers.given] == ["phase-space"]
     assert answers.refused[0].reason == "3 failures are too few" and not answers.problems
     known = replace(rare, error_kind="sampling")
     assert [g.answer for g in replies(Stub(FULL, known)).given] == [known]
