@@ -66,7 +66,8 @@ def facts_command(name: str, words: str) -> click.Command:
         from cases.show.text import render
 
         with progress_bar() as progress:
-            record = getattr(facts, f"{name}_record")(loaded, progress)
+            solved = (progress,) if name == "check" else ()  # show makes no solutions
+            record = getattr(facts, f"{name}_record")(loaded, *solved)
         parts.end(record, lambda: render(f"{name}.txt", record))
 
     return command

@@ -33,7 +33,7 @@ RMS_METHODS = ("linear", "exact", "nonintegrable")
 """Methods tried in this order for the rms of a displacement; the first two are exact for (6)."""
 
 
-def show_record(scene: Scene, progress: Progress | None = None) -> Record:
+def show_record(scene: Scene) -> Record:
     """Return ``fpk show`` as plain values: system, modes, rms, units, and ``theories``."""
     facts, rms = facts_record(scene.system), rms_record(scene.system)
     regime, routes = facts["regime"], {route.label: route for route in all_routes()}
@@ -51,7 +51,7 @@ def show_record(scene: Scene, progress: Progress | None = None) -> Record:
             "modes": modes_record(scene.system),
             "rms": rms,
             "averaging_notes": averaging_notes(scene.system, averaged),
-            "theories": theories(scene, progress),
+            "theories": theories(scene),
             "boundaries": regime["boundaries"],
         }
     )
@@ -146,8 +146,7 @@ def theories(scene: Scene, progress: Progress | None = None) -> list[Record]:
 
     A method applies if it gives one of the scene's observables by some solver; ``reason`` is about
     the observables that it does not give, None if there are none. ``left_out`` says why ``fpk run``
-    leaves out a method that applies, else None. Given ``progress``, a method is also asked whether
-    it would give up after its first solutions, which may take a minute.
+    leaves out a method that applies, else None. With ``progress`` ``Plan.attempt`` is asked, too.
     """
     records = []
     for name in dict.fromkeys(route.method for route in all_routes()):
