@@ -132,8 +132,7 @@ class PhaseSpace(Theory):
         """Return the plan; raise ``NotApplicable`` as ``_frame`` and ``require_broad`` do."""
         ladders: Callable[..., Iterator[Ladder]]
         of: Callable[..., Ladder]
-        frame = self._frame(system)
-        tol = self.accepted or self.tol
+        frame, tol = self._frame(system), self.accepted or self.tol
         if system.n == 1:
             oscillator = oscillator_of(system)
             require_broad(oscillator)
@@ -172,12 +171,12 @@ class PhaseSpace(Theory):
                     break
             if self.accepted and worst > self.accepted:
                 raise NotCertified(f"an L1 error of {worst:.1g} was reached: {ladder.limit}")
-            limit = ladder.limit
             others = of(ladder.finest, ladder.coarser, beside) if beside else ladder
             return Result(
                 self,
                 tuple(
-                    expansion_density(replace(best[o], limit=limit), o, tol) for o in observables
+                    expansion_density(replace(best[o], limit=ladder.limit), o, tol)
+                    for o in observables
                 ),
                 identities=identities(ladder),
                 settings=expansion_settings(ladder),

@@ -21,6 +21,7 @@ from fpk.answer.question import QUESTIONS
 from fpk.numeric.arrays import Array
 from fpk.numeric.errors import InvalidInput, NotApplicable, NotCertified
 from fpk.system.system import System
+from sim.questions.passage import LEAST_TAIL_FAILURES
 from sim.sample.settings import LEAST_PATHS
 
 WINDOW_POINTS = 129
@@ -47,8 +48,8 @@ def replies_of(
 
     ``attempts`` must have no refusals yet; refusals and notes are added to it. ``tol``: tolerance
     of solvers that do not sample, None, or if ``attempts`` relax: their defaults. Simulations of a
-    first passage run until the last time; those that are not certified, as where too few motions
-    fail, are refused, and if then no answer of the full system is certified, splitting gives one.
+    first passage run until the last time, unless too few would fail by an earlier certified answer.
+    Splitting replaces the simulation of the full system if no answer of this system is certified.
     """
     attempts, names = attempts or Attempts(), (question.name,)
     budget = attempts.budget
@@ -77,7 +78,13 @@ def replies_of(
     def answered(points: Array | None, method: Any) -> Any:
         bounds: dict[str, Any] = {"checkpoint": None, "partial": False}
         if isinstance(question, PassageQuestion) and question.times:
-            bounds["time"] = question.times[-1]
+            last = bounds["time"] = question.times[-1]
+            known = (g.answer for g in given if g.answer.certificate.certified)
+            share = max([1.0 - x.survival[-1] for x in known if isinstance(x, Passage)], default=1)
+            # Twice the failures that leave a tail, and twice that for chance.
+            if method.route.sampled and method.paths * share < 4.0 * LEAST_TAIL_FAILURES:
+                words = f"{share:.2g} of the paths are expected to fail by t = {last:g}"
+                raise NotApplicable(f"too rare for plain simulation: {words}")
         bounded: Any = with_settings(method, bounds)
         start, times = question.start, np.array(question.times)
 
@@ -97,7 +104,7 @@ def replies_of(
     if isinstance(question, PassageQuestion) and not attempts.interrupted:
         # Splitting is for constant noise only.
         known = any(g.answer.certificate.certified for g in given if g.route.solves == "full")
-        asked = question.times and system.modulation is None
+        asked = question.times and system.modulation is None and not known
         plain = next((m for m in able if m.route.solves == "full" and m.route.sampled), None)
 
         def split(own: Any) -> Passage:
@@ -106,12 +113,11 @@ def replies_of(
                 settings = replace(settings, seconds=settings.seconds / max(1, later))
             return split_passage(system, question, settings, progress=attempts.progress)
 
-        if known or (plain and asked and ask(SPLITTING, lambda _: budget.spend(plain, split))):
-            simulated = [g for g in given if g.route.sampled and g.route != SPLITTING]
-            few = [g for g in simulated if not g.answer.certificate.certified]
-            given = [g for g in given if g not in few]
-            for route, words in ((g.route, w) for g in few for w in g.answer.certificate.failures):
-                attempts.refuse(route, names, words)
+        if plain and asked and ask(SPLITTING, lambda _: budget.spend(plain, split)):
+            replaced = [g for g in given if g.route == plain.route]
+            given = [g for g in given if g not in replaced]
+            for words in (w for g in replaced for w in g.answer.certificate.failures):
+                attempts.refuse(plain.route, names, words)
     points, windows = window() if given else (None, ())
     ends = attempts.interrupted, tuple(attempts.notes)
     return Replies(question, tuple(given), tuple(attempts.refused), points, windows, *ends)

@@ -141,10 +141,7 @@ def with_moments(frame: Frame, mean: Array, covariance: Array) -> Reference:
 
 
 def gibbs_reference(frame: Frame) -> Reference:
-    """Return the Gibbs state of the ``equivalent_temperature``; raise ``NotApplicable`` as it does.
-
-    Without damping terms that is T = tr D/tr c of the scaled matrices.
-    """
+    """Return the Gibbs state of ``equivalent_temperature``; raise ``NotApplicable`` as it does."""
     K, n, T = frame.stiffness, frame.n, equivalent_temperature(frame.system)
     slope = np.asarray(-np.linalg.solve(K[1:, 1:], K[1:, 0]), dtype=float)
     covariance = POWER * T * np.eye(2 * n - 1)

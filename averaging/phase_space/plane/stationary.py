@@ -47,8 +47,6 @@ BYTES, OPERATIONS = 1.3e4, 4e5
 each."""
 OUTFLOW = 1e-10
 """Largest probability that may pass the limit of the energy."""
-IN_PLANE = "in the plane of displacement and momentum"
-"""Where the elements of a density are, in words."""
 RESOLVED = 0.1
 """Largest unresolved part of a density whose square bounds the error of its outflow."""
 
@@ -199,7 +197,7 @@ def _(e: PlaneState) -> dict[str, str | float | int]:
     o = e.mesh.oscillator
     _, damped, fed = sides(e)[0]
     return {
-        **e.mesh.settings(e.unknowns, IN_PLANE),
+        **e.mesh.settings(e.unknowns),
         "limit of the energy": e.mesh.energy or np.inf,
         "rate of passing it": e.outflow,
         "E q1²": e.mean(lambda q, v: q**2 + 0.0 * v),

@@ -16,7 +16,6 @@ from averaging.phase_space.plane.oscillator import (
 )
 from averaging.phase_space.plane.stationary import (
     FINER,
-    IN_PLANE,
     OUTFLOW,
     PANEL,
     PlaneState,
@@ -72,8 +71,8 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
         ]
         if limit or max(x.errors[observable] for x in ladders) <= asked.tol:
             break
-    found = [replace(x, limit=limit) for x in ladders]
-    densities = [expansion_density(x, observable, asked.tol) for x in found]
+    last = [replace(x, limit=limit) for x in ladders]
+    densities = [expansion_density(x, observable, asked.tol) for x in last]
     at = [density.at(*asked.at) for density in densities]
-    settings = now[0].mesh.settings(now[0].unknowns, IN_PLANE)
+    settings = now[0].mesh.settings(now[0].unknowns)
     return transient_of(times, densities, at, tol=asked.tol, settings=settings)

@@ -199,14 +199,19 @@ def test_rare_failure_is_left_to_splitting(monkeypatch):
     split = survival_answer([1.0] * 9, 1e-9, "sampling", rate=None, failure=[2e-9] * 9)
     monkeypatch.setattr(answering, "split_passage", lambda *asked, **how: split)
     monkeypatch.setattr(answering, "splitting_of", lambda plain: None)
+    seldom = survival_answer([1.0 - 1e-9] * 9, 0.0, "numerical", failure=[1e-9] * 9)
     few = replace(rare, error_kind="sampling", certificate=certificate("3 failures are too few"))
-    answers = replies(Stub(FEM, rare), Stub(FULL, few))
-    assert [g.route.label for g in answers.given] == ["nonintegrable/fem", "splitting"]
-    assert answers.refused[0].reason == "3 failures are too few" and not answers.problems
-    # Another answer of the full system, here by the equation, is certified.
-    answers = replies(Stub(EQUATION, rare), Stub(FULL, few))
-    assert [g.route.label for g in answers.given] == ["phase-space"]
-    assert answers.refused[0].reason == "3 failures are too few" and not answers.problems
+    # Splitting gives the full system's answer unless the equation does; nothing is simulated.
+    simulations = [Stub(of, AssertionError("was simulated")) for of in (FULL, SIMULATED)]
+    for method, own in ((FEM, ["nonintegrable/fem", "splitting"]), (EQUATION, ["phase-space"])):
+        answers = replies(Stub(method, seldom), *simulations)
+        assert [g.route.label for g in answers.given] == own and not answers.problems
+        assert all("too rare for plain simulation" in r.reason for r in answers.refused)
+        assert len(answers.refused) == 2
+    # Not known before: the simulation itself says so.
+    answers = replies(Stub(FULL, few))
+    assert [g.route.label for g in answers.given] == ["splitting"]
+    assert answers.refused[0].reason == "3 failures are too few"
     known = replace(rare, error_kind="sampling")
     assert [g.answer for g in replies(Stub(FULL, known)).given] == [known]
 
