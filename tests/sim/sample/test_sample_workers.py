@@ -291,7 +291,7 @@ def fail_with_the_system(share: int) -> int:
 
 @pytest.mark.slow
 def test_splitting_on_a_cluster_and_a_task_that_kills_every_worker_ends_in_one_line() -> None:
-    quick = Splitting(replicas=64, killed=4, repetitions=8, threads=1)
+    quick = Splitting(replicas=64, killed=4, repetitions=8, threads=1, seconds=1e6)
     failure: Any = fig6(), parse_limit("H=2", 2), REST, 20.0
     with two_workers() as (workers, _, address):
         there = rare_failure(*failure, settings=replace(quick, cluster=address))
