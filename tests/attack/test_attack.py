@@ -242,7 +242,7 @@ class Attack:
         return replace(made, l1_ratio=off / density.l1_error if density.l1_error > 0 else np.inf)
 
 
-FAST = (0, 16, 22, 24, 44)
+FAST = (16, 22, 24, 44)
 """Seeds of the default tier."""
 LEAST_CERTIFIED = 0.6
 
