@@ -123,7 +123,8 @@ CONSTANTS = {
         f"| masses of a scene | {schema.MAX_MASSES} |",
         f"| masses in `phase-space` | {phase_space.MOST_EXPANSION_MASSES}, stops on 1 of them,",
         f"| degree of a damping term | {damping.MOST_POWERS}, an energy counting 2 |",
-        f"by plain simulation | {4 * passage.LEAST_TAIL_FAILURES} failures of the paths expected",
+        f"by plain simulation | {4 * passage.LEAST_TAIL_FAILURES} failures of the paths expected,"
+        f" {passage.LEAST_TAIL_FAILURES} of them in the tail if some",
         f"clearance > {contacts.CLEARANCE_RULE:g} rms",
         f"({refinement.SOLUTION_MEMORY:g} GB, `--memory`)",
         f"up to {phase_space.MOST_EXPANSION_MASSES} masses, stops on one",
@@ -160,7 +161,7 @@ CONSTANTS = {
         f"up to {schema.MOST_QUESTIONS} of each",
         f"up to {schema.MOST_LEVELS} levels a coordinate",
         f"their sum is at most {damping.MOST_POWERS} (an energy counts two)",
-        f"fewer than {4 * passage.LEAST_TAIL_FAILURES} failures are to be expected",
+        f"expects fewer than {4 * passage.LEAST_TAIL_FAILURES} failures",
         f"within {claims.ALMOST_L1} in L1 of the Gaussian",
         f"excess kurtosis of at most {claims.ALMOST_KURTOSIS}",
     ),

@@ -67,9 +67,10 @@ class Mesh:
         """About the number of unknowns."""
         return (self.x.size - 1) * (self.degree + 1) * (self.s.size - 1) * self.degree
 
-    def settings(self, unknowns: int, words: str = "") -> dict[str, str | float | int]:
+    def settings(
+        self, unknowns: int, words: str = "in the plane of displacement and momentum"
+    ) -> dict[str, str | float | int]:
         """Return the settings of an answer with so many unknowns, in ``words`` how it is solved."""
-        words = words or "in the plane of displacement and momentum"
         stated = {"solver": "fem", "solved_by": f"finite elements {words}"}
         return {"equation": "(6)", **stated, "unknowns": unknowns, "degree": self.degree}
 

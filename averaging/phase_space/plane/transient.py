@@ -71,8 +71,7 @@ def plane_transient(asked: Asked, options: Options) -> Transient:
         ]
         if limit or max(x.errors[observable] for x in ladders) <= asked.tol:
             break
-    last = [replace(x, limit=limit) for x in ladders]
-    densities = [expansion_density(x, observable, asked.tol) for x in last]
+    densities = [expansion_density(replace(x, limit=limit), observable, asked.tol) for x in ladders]
     at = [density.at(*asked.at) for density in densities]
     settings = now[0].mesh.settings(now[0].unknowns)
     return transient_of(times, densities, at, tol=asked.tol, settings=settings)
